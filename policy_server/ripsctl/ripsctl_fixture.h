@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_RIPSCTL_FIXTURE_H_
 
 #include <algorithm>
+#include <functional>
 #include <map>
 #include <memory>
 #include <nlohmann/json.hpp>
@@ -46,6 +47,7 @@ class FakeOperator final : public FakeEnrolOperator {
   };
   std::vector<AlertWatch> alert_watches;
   std::vector<std::string> no_answer;
+  std::function<void(v1::ListRobotsResponse&)> change_list;
   // How the next watch of robots ends; the later ones end well.
   grpc::Status robots_watch_end;
   // What GetLevel gives, one after the other, and the last one for ever; empty = COMPROMISED.
@@ -55,6 +57,7 @@ class FakeOperator final : public FakeEnrolOperator {
   // Of GetLevel.
   std::vector<v1::PendingApproval> pending;
   std::vector<v1::HostFirewall> firewalls;
+  v1::GetCoverageResponse coverage = MakeFindings(0);
   std::vector<v1::Transition> newer_transitions;  // first in the history
   // Of Explain, by id or decision id (`r1@3.17`), and how all else fails.
   std::map<std::string, v1::ExplainResponse> explained;
@@ -72,6 +75,7 @@ class FakeOperator final : public FakeEnrolOperator {
     *response = MakeRobotList(*request);
     if (maintenance) *response->mutable_robots(0)->mutable_maintenance() = *maintenance;
     for (const std::string& robot : no_answer) response->add_no_answer(robot);
+    if (change_list) change_list(*response);
     return Remember(absl::StrCat("ListRobots", request->labels().empty() ? "" : " ",
                                  absl::StrJoin(request->labels(), " ")));
   }
@@ -148,8 +152,11 @@ class FakeOperator final : public FakeEnrolOperator {
     return Remember(absl::StrCat("GetInterest ", request->robot()));
   }
   grpc::Status GetCoverage(grpc::ServerContext*, const v1::GetCoverageRequest* request,
-                           v1::GetCoverageResponse*) override {
-    return Remember(absl::StrCat("GetCoverage ", request->robot()));
+                           v1::GetCoverageResponse* response) override {
+    *response = coverage;
+    const std::string about = request->has_finding() ? " of " + request->finding().topic() : "";
+    return Remember(absl::StrCat(request->findings_only() ? "GetFindings " : "GetCoverage ",
+                                 request->robot(), about));
   }
   grpc::Status ListReceipts(grpc::ServerContext*, const v1::ListReceiptsRequest* request,
                             v1::ListReceiptsResponse* response) override {

@@ -188,6 +188,55 @@ inline v1::Evidence MakeEvidence() {
   return evidence;
 }
 
+// Of participant and topic.
+inline v1::Finding MakeFinding() {
+  v1::Finding finding;
+  finding.set_kind("non_ros_reader");
+  finding.set_guid(std::string("\x01\x10\x4a\x3b", 4) + std::string(10, '\0') + "\x01\xc1");
+  finding.set_topic("/camera");
+  return finding;
+}
+
+inline v1::Subject MakeReader() {
+  v1::Subject subject;
+  subject.set_name("/camera");
+  subject.set_role("finding non_ros_reader");
+  subject.set_guid("01104a3b.00000000.00000000.000001c1");
+  subject.set_host("lab-pc");
+  subject.set_pid(4711);
+  subject.set_address("10.0.0.66");
+  return subject;
+}
+
+// RIPS's own alert of that finding, as it is explained.
+inline v1::ExplainResponse MakeFindingExplained() {
+  v1::ExplainResponse explained;
+  v1::Alert& alert = *explained.mutable_alert();
+  alert = MakeAlert("sensor base: finding non_ros_reader, topic /camera");
+  alert.set_rule("(rips)");
+  alert.set_event("finding non_ros_reader");
+  *alert.add_subjects() = MakeReader();
+  *explained.mutable_finding() = MakeFinding();
+  return explained;
+}
+
+// The answer of a server on which so many findings stand, the newest of them MakeFinding.
+inline v1::GetCoverageResponse MakeFindings(uint64_t total) {
+  v1::GetCoverageResponse response;
+  v1::FindingsNow& now = *response.mutable_findings_now();
+  now.set_total(total);
+  if (total == 0) return response;
+  v1::FindingCount* count = now.add_kinds();
+  count->set_kind("non_ros_reader");
+  count->set_count(total);
+  v1::StandingFinding& newest = *now.add_newest();
+  *newest.mutable_finding() = MakeFinding();
+  newest.mutable_finding()->set_detail("reads without a node \x1b[2J");
+  newest.set_since_unix_ns(kNewYear);
+  *newest.add_subjects() = MakeReader();
+  return response;
+}
+
 }  // namespace rips::ripsctl
 
 #endif  // RIPS_POLICY_SERVER_RIPSCTL_SAMPLES_H_

@@ -798,7 +798,11 @@ def findings_are_told(fleet):
     fleet.arm()
 
     def told(kind=""):
-        return [a["text"] for a in fleet.alerts() if f"finding {kind}" in a["text"]]
+        return [a["text"] for a in fleet.alerts()
+                if f"finding {kind}" in a["text"] and a["severity"] == "high"]
+
+    def explained(alert):
+        return json.loads(fleet.ripsctl("--output", "json", "explain", alert["id"])[1])
 
     def wait_told(kind, count=1):
         deadline = time.monotonic() + 25
@@ -822,6 +826,12 @@ def findings_are_told(fleet):
     check((alert["rule"], alert["severity"]) == ("(rips)", "high"), f"{alert}")
     check(len([a for a in fleet.alerts() if a["text"] == "somebody plays RIPS"]) == 1,
           "the rule did not see it once")
+    who = explained(alert)
+    check(who["finding"]["state"] == "stands", f"{who['finding']}")
+    check(who["alert"]["subjects"][0]["pid"] and who["alert"]["subjects"][0]["host"],
+          f"the process is not named: {who['alert']}")
+    check(who["findings"]["total"] == 1 and who["findings"]["newest"][0]["kind"] == "impostor",
+          f"{who['findings']}")
     # Somebody steers the robot, and is gone before anybody asks who it was.
     done = subprocess.run([fleet.bin / "robot_sim", "set-mode", "--domain", str(fleet.domain),
                            "--part", "/safety", "--mode", "ALERT"], env=fleet.env,
@@ -832,6 +842,8 @@ def findings_are_told(fleet):
     impostor.kill()
     fleet.server.wait_for(lambda line: "no longer: finding impostor" in line, 20,
                           "the end of the finding is on record")
+    who = explained(alert)["finding"]
+    check(who["state"] == "ended" and who["ended"] is not None, f"{who}")
     second = fleet.start_publisher("--node", "/camera")
     check("node /camera" in wait_told("duplicate_node"), "the node is not named")
     second.kill()

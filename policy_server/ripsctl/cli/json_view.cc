@@ -91,6 +91,10 @@ Json ToJson(const v1::RobotStatus& status) {
       {"pending_approvals", status.pending_approvals()},
       {"maintenance", status.has_maintenance() ? ToJson(status.maintenance()) : Json(nullptr)}};
   if (!status.agents().empty()) json["agents"] = List(status.agents());
+  if (status.has_findings()) {
+    json["findings"] = status.findings();
+    json["findings_not_known"] = status.findings_not_known();
+  }
   return json;
 }
 

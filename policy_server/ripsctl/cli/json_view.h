@@ -17,7 +17,8 @@ using Json = nlohmann::ordered_json;
 // {"role","host","version","heard","heard_ago_ms"}; the last two are null if it was not heard.
 Json ToJson(const v1::AgentContact& agent);
 // {"robot","decided_level","effective_level","stage","decision_id","bundle","degraded":[..],
-// "degraded_cut","pending_approvals","agents":[..]}; without "agents" if the answer has none.
+// "degraded_cut","pending_approvals","agents":[..],"findings","findings_not_known"}; without the last
+// three if the answer has none.
 Json ToJson(const v1::Maintenance& maintenance);
 Json ToJson(const v1::RobotStatus& status);
 // {"id","robot","time","from","to","cause","reason","decision_id","refused","count","stage",

@@ -14,6 +14,7 @@
 #include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/explain/explain_text.h"
+#include "policy_server/ripsctl/explain/findings_view.h"
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
@@ -140,6 +141,9 @@ Json ExplanationJson(const Explanation& explanation) {
   json["raised_before_subjects"] = std::move(raisers);
   json["lowering"] =
       explanation.lowering.has_value() ? LoweringJson(*explanation.lowering) : Json(nullptr);
+  json["finding"] = FindingJson(explanation);
+  json["findings"] =
+      explanation.findings.has_value() ? FindingsJson(*explanation.findings) : Json(nullptr);
   return json;
 }
 
@@ -229,6 +233,7 @@ class Explain final : public Command {
       explanation.now = ReadLevel(env, robot);
     }
     if (!explanation.now.has_value() || !explanation.now->ok()) return;
+    AddFindings(env, (*explanation.now)->status().robot(), explanation);
     if (recorded.has_transition()) {
       if (auto raise = FindRaise(env, recorded.transition(), **explanation.now)) {
         v1::ExplainRequest request;
@@ -247,6 +252,16 @@ class Explain final : public Command {
       explanation.graph = Call(env, &Stub::GetGraph, request);
     }
     explanation.lowering = TryLowering(env, **explanation.now);
+  }
+
+  static void AddFindings(Env& env, const std::string& robot, Explanation& explanation) {
+    v1::GetCoverageRequest request;
+    request.set_robot(robot);
+    request.set_findings_only(true);
+    if (explanation.recorded.has_finding()) {
+      *request.mutable_finding() = explanation.recorded.finding();
+    }
+    explanation.findings = Call(env, &Stub::GetCoverage, request);
   }
 
   std::string what_;

@@ -40,8 +40,8 @@ TEST_F(ExplainTest, ALevelChangeByTheStartOfItsId) {
   EXPECT_THAT(result.out, AllOf(HasSubstr("Why: rule rogue_cmd_vel, warehouse.rul:31"),
                                 HasSubstr("would be raised again by rule rogue_cmd_vel"
                                           " at the next change of the graph, not before\n")));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain 11111111", "GetLevel", "ListTransitions",
-                                         "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain 11111111", "GetLevel", "GetFindings r1",
+                                         "ListTransitions", "GetGraph", "DeEscalate"));
   const v1::LevelRequest asked = fake_.last_level_request();
   EXPECT_TRUE(asked.dry_run());
   EXPECT_FALSE(asked.accept_blind());
@@ -84,14 +84,14 @@ TEST_F(ExplainTest, ALoweringLeadsToWhatHadRaisedTheRobot) {
 
 TEST_F(ExplainTest, TheDecisionThatARobotIsAt) {
   EXPECT_THAT(Run({"explain", "r1"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "ListTransitions",
-                                         "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "Explain r1@3.17", "GetFindings r1",
+                                         "ListTransitions", "GetGraph", "DeEscalate"));
 }
 
 TEST_F(ExplainTest, ADecisionByItsDecisionId) {
   EXPECT_THAT(Run({"explain", "r1@3.17"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "ListTransitions",
-                                         "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain r1@3.17", "GetLevel", "GetFindings r1",
+                                         "ListTransitions", "GetGraph", "DeEscalate"));
   const Result gone = Run({"explain", "r1@3.2"});
   EXPECT_EQ(gone.code, 1);
   EXPECT_EQ(gone.err, "error: there is no record of it\n");
@@ -100,8 +100,9 @@ TEST_F(ExplainTest, ADecisionByItsDecisionId) {
 TEST_F(ExplainTest, ARobotWhoseNameIsHex) {
   fake_.explained["cafe42@3.17"] = fake_.explained["r1@3.17"];
   EXPECT_THAT(Run({"explain", "cafe42"}).out, StartsWith(kFirstWords));
-  EXPECT_THAT(fake_.calls(), ElementsAre("Explain cafe42", "GetLevel", "Explain cafe42@3.17",
-                                         "ListTransitions", "GetGraph", "DeEscalate"));
+  EXPECT_THAT(fake_.calls(),
+              ElementsAre("Explain cafe42", "GetLevel", "Explain cafe42@3.17", "GetFindings cafe42",
+                          "ListTransitions", "GetGraph", "DeEscalate"));
   fake_.unknown_robots = {"cafe42", "r7"};
   const Result neither = Run({"explain", "cafe42"});
   EXPECT_EQ(neither.code, 1);
@@ -122,8 +123,11 @@ TEST_F(ExplainTest, ARobotForWhichNothingWasDecided) {
   EXPECT_EQ(result.out,
             "nothing was ever decided for r1: it is where it began\n"
             "\n"
+            "Findings: none stands\n"
+            "\n"
             "Now: r1 is at DEFAULT, verified: every actuator has read the level back\n");
-  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel")) << "nothing is below the lowest level";
+  EXPECT_THAT(fake_.calls(), ElementsAre("GetLevel", "GetFindings r1"))
+      << "nothing is below the lowest level";
   const nlohmann::json json = RunJson({"explain", "r1"});
   EXPECT_TRUE(json["transition"].is_null());
   EXPECT_TRUE(json["lowering"].is_null());
@@ -232,6 +236,56 @@ TEST_F(ExplainTest, JsonHasTheSameContent) {
   EXPECT_EQ(alert["no_evidence_because"],
             "rule unknown_node; it was recorded before RIPS kept evidence");
   EXPECT_EQ(alert["now_not_known_because"], "no robot `r1`");
+}
+
+TEST_F(ExplainTest, AFindingIsSaidToStandAndToBeWhose) {
+  const std::string id(32, '9');
+  fake_.explained[id] = MakeFindingExplained();
+  fake_.coverage = MakeFindings(1);
+  fake_.coverage.mutable_finding_state()->set_state("stands");
+  fake_.coverage.mutable_finding_state()->set_since_unix_ns(kNewYear);
+  const Result result = Run({"explain", id});
+  EXPECT_EQ(result.code, 0) << result.err;
+  EXPECT_THAT(result.out, HasSubstr("\nFinding: non_ros_reader, topic /camera, GUID "
+                                    "01104a3b.00000000.00000000.000001c1\n"
+                                    "  still stands, known since 2026-01-01T00:00:00.000Z\n"));
+  EXPECT_THAT(fake_.calls(), ElementsAre("Explain " + id, "GetLevel", "GetFindings r1 of /camera",
+                                         "GetGraph", "DeEscalate"));
+  const nlohmann::json json = RunJson({"explain", id});
+  EXPECT_EQ(json["finding"], nlohmann::json({{"kind", "non_ros_reader"},
+                                             {"guid", "01104a3b.00000000.00000000.000001c1"},
+                                             {"node", ""},
+                                             {"topic", "/camera"},
+                                             {"state", "stands"},
+                                             {"since", "2026-01-01T00:00:00.000000000Z"},
+                                             {"ended", nullptr},
+                                             {"not_known_because", nlohmann::json::array()}}));
+  EXPECT_EQ(json["alert"]["subjects"][0]["address"], "10.0.0.66");
+  EXPECT_EQ(json["findings"]["total"], 1);
+  EXPECT_EQ(json["findings"]["kinds"][0],
+            nlohmann::json({{"kind", "non_ros_reader"}, {"count", 1}}));
+  const nlohmann::json& newest = json["findings"]["newest"][0];
+  EXPECT_EQ(newest["detail"], "reads without a node \x1b[2J");
+  EXPECT_EQ(newest["subjects"][0]["host"], "lab-pc");
+  EXPECT_EQ(newest["since"], "2026-01-01T00:00:00.000000000Z");
+}
+
+TEST_F(ExplainTest, FindingsThatTheServerDoesNotTellAreNotKnown) {
+  fake_.explained[std::string(32, '9')] = MakeFindingExplained();
+  fake_.coverage = {};
+  const std::string text = Run({"explain", std::string(32, '9')}).out;
+  EXPECT_THAT(text, HasSubstr("\n  not known whether it still stands: the policy server is older "
+                              "than this ripsctl\n"));
+  EXPECT_THAT(text, HasSubstr("\nFindings: not known: the policy server is older than this ripsctl"
+                              "\n  try: ripsctl robot coverage r1\n"));
+  const nlohmann::json json = RunJson({"explain", std::string(32, '9')});
+  EXPECT_TRUE(json["findings"]["total"].is_null());
+  EXPECT_EQ(json["finding"]["state"], "not known");
+  fake_.unknown_robots = {"r1"};
+  const nlohmann::json gone = RunJson({"explain", std::string(32, '9')});
+  EXPECT_TRUE(gone["findings"].is_null());
+  EXPECT_EQ(gone["finding"]["not_known_because"],
+            nlohmann::json({"the robot's state is not known"}));
 }
 
 }  // namespace

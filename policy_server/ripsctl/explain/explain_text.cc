@@ -18,6 +18,7 @@
 #include "policy_server/ripsctl/cli/json_view.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
+#include "policy_server/ripsctl/explain/findings_view.h"
 #include "services/text/utf8.h"
 
 namespace rips::ripsctl {
@@ -441,7 +442,8 @@ std::string NoEvidenceText(const v1::ExplainResponse& recorded) {
         "decided, and the more restrictive one was taken",
         reason);
   }
-  return absl::StrCat("no rule did it, but RIPS itself", reason);
+  return absl::StrCat("no rule did it, but RIPS itself",
+                      recorded.has_finding() ? ", for what a sensor found" : "", reason);
 }
 
 std::string NoDryRunText(const absl::Status& status) {
@@ -472,8 +474,12 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
     }
     PrintWhy(recorded, out);
     PrintWho(explanation, out);
+    PrintFinding(explanation, out);
     PrintOutcome(recorded, out);
     PrintRecording(recorded.alert(), out);
+  }
+  if (explanation.findings.has_value()) {
+    PrintFindingsNow((*explanation.now)->status().robot(), *explanation.findings, out);
   }
   PrintNow(explanation, out);
 }

@@ -33,6 +33,9 @@ struct Explanation {
   std::optional<Lowering> lowering;
   // Of the robot now; unset if no subject has a GUID.
   std::optional<absl::StatusOr<v1::GetGraphResponse>> graph;
+  // The findings of the robot now, and the state of the one that `recorded` is about, if it is
+  // about one; unset if `now` is, or failed.
+  std::optional<absl::StatusOr<v1::GetCoverageResponse>> findings;
 };
 
 // Who or what made the rule fire: of the evidence, or else of the alert.
@@ -45,8 +48,8 @@ const google::protobuf::RepeatedPtrField<v1::Subject>& SubjectsOf(
 enum class Presence { kUnknown, kThere, kKeptOut, kGone };
 Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation);
 
-// The parts, in this order, each left out if there is nothing to say: what happened, why, who, what
-// came of it, what is now.
+// The parts, in this order, each left out if there is nothing to say: what happened, why, who,
+// whether the finding still stands, what came of it, which findings stand, what is now.
 void PrintExplanation(const Explanation& explanation, std::ostream& out);
 
 // Why there is no evidence, in one line, not escaped; empty if there is.

@@ -1,5 +1,7 @@
 // `ripsctl robot`: list, watch, show, graph.
 #include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstddef>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -88,11 +90,42 @@ class ListRobots final : public Command {
     if (!response.robots().empty()) {
       out << "why a robot is at its level, and what to do: ripsctl explain ROBOT\n";
     }
+    PrintFindings(response, out);
     if (!other_version) return;
     out << "* an agent has another version than the server, " << EscapeText(version)
         << "; see `ripsctl robot show`\n";
   }
 
+  // Robots on which findings stand, or may. Silent on an older server, which does not say.
+  static void PrintFindings(const v1::ListRobotsResponse& response, std::ostream& out) {
+    std::vector<std::string> standing;
+    std::vector<std::string> not_known;
+    for (const v1::RobotStatus& status : response.robots()) {
+      if (status.findings() > 0) {
+        standing.push_back(absl::StrCat(status.robot(), " (", status.findings(),
+                                        status.findings_not_known() ? " as reported last)" : ")"));
+      } else if (status.findings_not_known()) {
+        not_known.push_back(status.robot());
+      }
+    }
+    if (!standing.empty()) {
+      out << "findings stand on " << EscapeText(InBrief(standing))
+          << ": ripsctl robot coverage ROBOT\n";
+    }
+    if (!not_known.empty()) {
+      out << "whether findings stand is not known of " << EscapeText(InBrief(not_known)) << "\n";
+    }
+  }
+  static std::string InBrief(const std::vector<std::string>& names) {
+    const size_t shown = std::min(names.size(), kNamesShown);
+    const std::string text =
+        absl::StrJoin(names.begin(), names.begin() + static_cast<ptrdiff_t>(shown), ", ");
+    return shown == names.size() ? text
+                                 : absl::StrCat(text, " and ", names.size() - shown, " more");
+  }
+
+  // Robots named in one line below the table.
+  static constexpr size_t kNamesShown = 8;
   std::vector<std::string> labels_;
 };
 
@@ -166,12 +199,23 @@ class ShowRobot final : public RobotCommand {
     for (const v1::AgentContact& agent : status.agents()) {
       table.Add({"agent", AgentText(agent, server_version)});
     }
+    if (status.has_findings()) table.Add({"findings", FindingsText(status)});
     for (const std::string& each : status.degraded()) table.Add({"degraded", each});
     if (status.degraded_cut()) {
       table.Add({"degraded", "(more than fits here; see `ripsctl level show`)"});
     }
     table.Print(env.out);
     return ExitCode::kDone;
+  }
+  static std::string FindingsText(const v1::RobotStatus& status) {
+    if (status.findings() > 0) {
+      return absl::StrCat(status.findings(),
+                          status.findings_not_known() ? " stood as reported last" : " stand",
+                          "; see `ripsctl robot coverage ", status.robot(), "`");
+    }
+    return status.findings_not_known()
+               ? absl::StrCat("not known; see `ripsctl explain ", status.robot(), "`")
+               : "none stands";
   }
 };
 

@@ -229,7 +229,8 @@ class ShowCoverage final : public RobotCommand {
             {"skipped_inspections", JsonList(response.skipped(), SkippedJson)},
             {"sensors", JsonList(response.sensors(), SensorJson)},
             {"endpoints", JsonList(response.endpoints(), EndpointJson)},
-            {"findings", JsonList(response.findings(), FindingJson)}};
+            {"findings", JsonList(response.findings(), FindingJson)},
+            {"findings_not_known_because", JsonList(response.findings_now().not_known())}};
   }
 
   void PrintText(const v1::GetCoverageResponse& response, std::ostream& out) const {
@@ -272,6 +273,10 @@ class ShowCoverage final : public RobotCommand {
                  absl::StrCat(each.longest_bytes(), " B"), absl::StrCat(each.count())});
       }
       cut.Print(out);
+    }
+    if (!response.findings_now().not_known().empty()) out << "\n";
+    for (const std::string& reason : response.findings_now().not_known()) {
+      out << "not all findings are known: " << EscapeText(reason) << "\n";
     }
     if (response.findings().empty()) return;
     out << "\n";

@@ -263,6 +263,14 @@ TEST_F(RobotCoverageTest, FindingsAreExitCodeOne) {
   EXPECT_EQ(RunJson({"robot", "coverage", "r1"}, 1)["findings"][0]["kind"], "duplicate_node");
 }
 
+TEST_F(RobotCoverageTest, SaysWhyNotAllFindingsAreKnown) {
+  EXPECT_THAT(Run({"robot", "coverage", "r1"}).out, Not(HasSubstr("findings")));
+  fake_.coverage.mutable_findings_now()->add_not_known("sensor base has \x1b connected");
+  EXPECT_THAT(Run({"robot", "coverage", "r1"}).out,
+              HasSubstr("\nnot all findings are known: sensor base has \\x1b connected\n"));
+  EXPECT_THAT(RunJson({"robot", "coverage", "r1"})["findings_not_known_because"], SizeIs(1));
+}
+
 TEST_F(RobotCoverageTest, PayloadsThatAreCutAreExitCodeOne) {
   v1::CutPayloads* cut = fake_.coverage.add_cut_payloads();
   cut->set_topic("/camera\x1b[2J");

@@ -8,6 +8,8 @@
 
 #include "policy_server/server/ingest/interest_codec.h"
 #include "policy_server/server/operator_api/answer_limits.h"
+#include "policy_server/server/store/trace_codec.h"
+#include "services/ros2/guid.h"
 #include "services/ros2_proto/graph_codec.h"
 
 namespace rips::operator_api {
@@ -38,6 +40,56 @@ void Encode(const pipeline::FindingSeen& finding, rips::v1::Finding& out) {
   out.set_node(finding.node);
   out.set_topic(finding.topic);
   out.set_detail(finding.detail);
+}
+
+void Encode(const pipeline::FindingsNow& now, rips::v1::FindingsNow& out) {
+  out.set_total(now.total);
+  for (const auto& [kind, count] : now.kinds) {
+    rips::v1::FindingCount* one = out.add_kinds();
+    one->set_kind(kind);
+    one->set_count(count);
+  }
+  for (const pipeline::StandingFinding& standing : now.newest) {
+    rips::v1::StandingFinding* one = out.add_newest();
+    Encode(standing.finding, *one->mutable_finding());
+    one->set_since_unix_ns(standing.since_unix_ns);
+    for (const engine::TracedSubject& subject : standing.subjects) {
+      *one->add_subjects() = store::EncodeSubject(subject);
+    }
+  }
+  for (const std::string& reason : now.not_known) out.add_not_known(reason);
+}
+
+const char* NameOf(pipeline::FindingState::State state) {
+  switch (state) {
+    case pipeline::FindingState::State::kStands:
+      return "stands";
+    case pipeline::FindingState::State::kEnded:
+      return "ended";
+    case pipeline::FindingState::State::kNotKnown:
+      break;
+  }
+  return "not known";
+}
+
+void Encode(const pipeline::FindingState& state, rips::v1::FindingState& out) {
+  out.set_state(NameOf(state.state));
+  out.set_since_unix_ns(state.since_unix_ns);
+  out.set_ended_unix_ns(state.ended_unix_ns);
+  for (const std::string& reason : state.not_known) out.add_not_known(reason);
+}
+
+void EncodeFindings(const pipeline::Robot& robot, const rips::v1::GetCoverageRequest& request,
+                    rips::v1::GetCoverageResponse& out) {
+  const pipeline::Findings& findings = robot.core().findings();
+  Encode(findings.Now(), *out.mutable_findings_now());
+  if (!request.has_finding()) return;
+  const rips::v1::Finding& asked = request.finding();
+  Encode(findings.StateOf({.kind = asked.kind(),
+                           .guid = ros2::GuidFromBytes(asked.guid()).value_or(ros2::Guid{}),
+                           .node = asked.node(),
+                           .topic = asked.topic()}),
+         *out.mutable_finding_state());
 }
 
 // Findings, and then endpoints, as far as there is room.
@@ -96,7 +148,18 @@ void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse&
   }
 }
 
-void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
+rips::v1::RobotStatus EncodeListed(const pipeline::Robot& robot) {
+  rips::v1::RobotStatus out = EncodeStatus(robot.Status());
+  const pipeline::Findings& findings = robot.core().findings();
+  out.set_findings(findings.total());
+  out.set_findings_not_known(!findings.NotKnown().empty());
+  return out;
+}
+
+void EncodeCoverage(const pipeline::Robot& robot, const rips::v1::GetCoverageRequest& request,
+                    rips::v1::GetCoverageResponse& out) {
+  EncodeFindings(robot, request, out);
+  if (request.findings_only()) return;
   for (const pipeline::SensorCoverage& sensor : robot.core().sight().Coverage()) {
     Encode(sensor, *out.add_sensors());
   }

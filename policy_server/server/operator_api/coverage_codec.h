@@ -9,7 +9,10 @@ namespace rips::operator_api {
 
 // Into an empty `out`, at most kAnswerBytesMax.
 void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse& out);
-void EncodeCoverage(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out);
+void EncodeCoverage(const pipeline::Robot& robot, const rips::v1::GetCoverageRequest& request,
+                    rips::v1::GetCoverageResponse& out);
+// The status and, in brief, the findings that stand.
+rips::v1::RobotStatus EncodeListed(const pipeline::Robot& robot);
 
 }  // namespace rips::operator_api
 

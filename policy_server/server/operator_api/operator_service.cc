@@ -199,7 +199,7 @@ grpc::ServerUnaryReactor* OperatorService::ListRobots(grpc::CallbackServerContex
   // Asks every robot on its own thread; must not be done on a gRPC thread, which may not block.
   Read(reactor, [this, reactor, request, response] {
     auto gathered = pipeline_->Gather<rips::v1::RobotStatus>(
-        [](Robot& robot) { return EncodeStatus(robot.Status()); }, patience_);
+        [](Robot& robot) { return EncodeListed(robot); }, patience_);
     for (const pipeline::RobotStatus& held : pipeline_->held()) {
       gathered.answers.insert_or_assign(held.robot, EncodeStatus(held));
     }
@@ -303,12 +303,13 @@ grpc::ServerUnaryReactor* OperatorService::GetInterest(grpc::CallbackServerConte
 grpc::ServerUnaryReactor* OperatorService::GetCoverage(grpc::CallbackServerContext* context,
                                                        const rips::v1::GetCoverageRequest* request,
                                                        rips::v1::GetCoverageResponse* response) {
-  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery, kGraphWeight);
+  const auto who = Authorize(context, *request, OperatorRole::kViewer, Use::kQuery,
+                             request->findings_only() ? 1 : kGraphWeight);
   if (!who.ok()) return Refuse(context, who.status());
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   const absl::Status posted =
-      pipeline_->Post(request->robot(), Queue::kOrders, [reactor, response](Robot& robot) {
-        EncodeCoverage(robot, *response);
+      pipeline_->Post(request->robot(), Queue::kOrders, [reactor, request, response](Robot& robot) {
+        EncodeCoverage(robot, *request, *response);
         reactor->End(absl::OkStatus());
       });
   if (!posted.ok()) reactor->End(posted);

@@ -63,6 +63,19 @@ absl::StatusOr<Found> FindByDecisionId(const std::string& robot, const DecisionI
                                           store::kListMax));
 }
 
+// When the finding ended, by the first of `alerts` that says so from `time_unix_ns` on; 0 = none
+// does. `alerts`: newest first.
+int64_t EndOf(const model::Finding& finding, int64_t time_unix_ns,
+              const std::vector<store::AlertRecord>& alerts) {
+  model::Finding end = finding;
+  end.over = true;
+  int64_t ended = 0;
+  for (const store::AlertRecord& each : alerts) {
+    if (each.time_unix_ns >= time_unix_ns && each.trace.finding == end) ended = each.time_unix_ns;
+  }
+  return ended;
+}
+
 }  // namespace
 
 bool IsIdPrefix(absl::string_view id) {
@@ -122,8 +135,8 @@ absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest
   if (found.alert) *response.mutable_alert() = Encode(*found.alert);
   if (found.transition) *response.mutable_transition() = Encode(*found.transition);
   const engine::Trace& trace = found.alert ? found.alert->trace : found.transition->trace;
-  if (trace.none()) return response;
-  *response.mutable_evidence() = store::EncodeTrace(trace);
+  if (!trace.none()) *response.mutable_evidence() = store::EncodeTrace(trace);
+  if (trace == engine::Trace{}) return response;
 
   const std::string& robot = found.alert ? found.alert->robot : found.transition->robot;
   const std::string& id = found.alert ? found.alert->id : found.transition->id;
@@ -135,6 +148,12 @@ absl::StatusOr<rips::v1::ExplainResponse> Explain(const rips::v1::ExplainRequest
     }
   };
   RIPS_ASSIGN_OR_RETURN(const auto alerts, store.ListAlerts(robot, store::kListMax));
+  if (trace.has_finding()) {
+    *response.mutable_finding() = store::EncodeFinding(trace.finding);
+    const int64_t time = found.alert ? found.alert->time_unix_ns : found.transition->time_unix_ns;
+    response.set_finding_ended_unix_ns(EndOf(trace.finding, time, alerts));
+  }
+  if (trace.none()) return response;
   add_same_firing(alerts, response.mutable_alerts());
   RIPS_ASSIGN_OR_RETURN(const auto transitions, store.ListTransitions(robot, store::kListMax));
   add_same_firing(transitions, response.mutable_transitions());

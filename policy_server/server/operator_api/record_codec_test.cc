@@ -110,6 +110,49 @@ TEST_F(ExplainTest, WhatNoRuleDidHasNoEvidence) {
   EXPECT_FALSE(own->has_evidence());
 }
 
+TEST_F(ExplainTest, OfAFindingTellsTheFirstRecordedEndAfterIt) {
+  const model::Finding finding{.kind = "non_ros_reader", .guid = {{1, 2, 3}}, .topic = "/camera"};
+  const auto alert = [&](const std::string& id, int64_t time_ns, bool over) {
+    store::AlertRecord record{
+        .id = Id(id), .time_unix_ns = time_ns, .robot = "r1", .rule = "(rips)"};
+    record.trace.finding = finding;
+    record.trace.finding.over = over;
+    if (!over) record.trace.subjects = {{.name = "/camera", .guid = finding.guid, .host = "pc"}};
+    return record;
+  };
+  store::WriteBatch batch{.robot = "r1", .tenure = 1};
+  batch.alerts = {alert("ee0001", 10, true), alert("ee0002", 20, false), alert("ee0003", 30, true),
+                  alert("ee0004", 40, false), alert("ee0005", 50, true)};
+  store::AlertRecord other = alert("ee0006", 60, false);
+  other.trace.finding.topic = "/map";
+  batch.alerts.push_back(other);
+  batch.decisions.push_back({.id = Id("ee0007"),
+                             .decision_id = {1, 4},
+                             .from = "DEFAULT",
+                             .to = "HALT",
+                             .cause = "rule stop",
+                             .time_unix_ns = 41,
+                             .trace = TraceOf("stop", 7)});
+  batch.decisions.back().trace.finding = finding;
+  ASSERT_THAT(store_.Commit(batch), IsOk());
+
+  const auto first = ById("ee0002");
+  ASSERT_THAT(first, IsOk());
+  EXPECT_FALSE(first->has_evidence()) << "no rule fired";
+  EXPECT_EQ(first->alert().subjects(0).host(), "pc");
+  EXPECT_EQ(first->finding().topic(), "/camera");
+  EXPECT_EQ(first->finding().guid(), finding.guid.ToBytes());
+  EXPECT_EQ(first->finding_ended_unix_ns(), 30);
+  EXPECT_EQ(ById("ee0004")->finding_ended_unix_ns(), 50);
+  EXPECT_EQ(ById("ee0005")->finding_ended_unix_ns(), 50) << "it is the end";
+  EXPECT_EQ(ById("ee0006")->finding_ended_unix_ns(), 0) << "the ends are of another one";
+  const auto decision = ByDecisionId("r1", {1, 4});
+  ASSERT_THAT(decision, IsOk());
+  EXPECT_TRUE(decision->has_evidence());
+  EXPECT_EQ(decision->finding_ended_unix_ns(), 50);
+  EXPECT_FALSE(ById("bb0005")->has_finding());
+}
+
 TEST_F(ExplainTest, SaysWhatIsNotThereOrNotOne) {
   using absl::StatusCode;
   EXPECT_THAT(ById("dd0001"), StatusIs(StatusCode::kNotFound, HasSubstr("dd0001")));

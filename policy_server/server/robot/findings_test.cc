@@ -12,6 +12,7 @@ using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Pair;
 using ::testing::SizeIs;
 
 FindingSeen Impostor(uint8_t number, const std::string& node = "/rips") {
@@ -53,9 +54,9 @@ TEST(FindingsBookTest, SensorThatWasStartedAgainMustTellItAgain) {
   book.OnIncarnation("base", "i2", 1'000);
   EXPECT_EQ(book.Apply("base", "i2", Impostor(2), 1'050), News::kKnown);
   EXPECT_THAT(book.Expire(1'099), IsEmpty());
-  const std::vector<FindingSeen> gone = book.Expire(1'100);
+  const std::vector<FindingRegistry::Entry> gone = book.Expire(1'100);
   ASSERT_THAT(gone, SizeIs(1));
-  EXPECT_EQ(gone[0].guid, Impostor(1).guid);
+  EXPECT_EQ(gone[0].finding.guid, Impostor(1).guid);
   EXPECT_THAT(book.standing(), SizeIs(1));
   // What the dead incarnation saw comes late from a spool.
   EXPECT_EQ(book.Apply("base", "i1", Impostor(3), 2'000), News::kBegins);
@@ -73,6 +74,48 @@ TEST(FindingsBookTest, PastTheLimitFindingsAreNotKept) {
   EXPECT_EQ(book.Apply("base", "i", Over(Impostor(3)), 0), News::kKnown);
   book.Apply("base", "i", Over(Impostor(1)), 0);
   EXPECT_EQ(book.Apply("base", "i", Impostor(3), 0), News::kBegins);
+}
+
+TEST(FindingsBookTest, KnowsWhetherASensorHasToldAll) {
+  FindingRegistry book({.standing = 1, .confirm_ns = 100});
+  EXPECT_EQ(book.NotToldAll("base", 0), "has not connected since the server's start");
+  book.OnIncarnation("base", "i1", 1'000);
+  EXPECT_EQ(book.NotToldAll("base", 1'099),
+            "has connected a moment ago and may not have reported all yet");
+  EXPECT_EQ(book.NotToldAll("base", 1'100), "");
+  book.OnIncarnation("base", "i1", 2'000, false);
+  EXPECT_EQ(book.NotToldAll("base", 2'000), "") << "a reconnect takes nothing back";
+  book.OnIncarnation("laptop", "j1", 2'000, false);
+  EXPECT_EQ(book.NotToldAll("laptop", 9'000),
+            "has not repeated its findings since the server's start");
+  book.OnIncarnation("laptop", "j1", 9'000, true);
+  EXPECT_EQ(book.NotToldAll("laptop", 9'100), "");
+
+  book.Apply("base", "i1", Impostor(1), 10'000);
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 10'000), News::kTooMany);
+  EXPECT_EQ(book.NotToldAll("base", 10'000), "has reported more findings than the 1 that are kept");
+  book.Apply("base", "i1", Over(Impostor(1)), 10'000);
+  EXPECT_NE(book.NotToldAll("base", 10'000), "") << "the other one may stand";
+  EXPECT_EQ(book.NotToldAll("laptop", 10'000), "");
+  book.OnIncarnation("base", "i2", 10'000);
+  EXPECT_EQ(book.NotToldAll("base", 10'100), "");
+}
+
+TEST(FindingsBookTest, RemembersTheLatestEnds) {
+  FindingRegistry book({.ended = 2});
+  book.OnIncarnation("base", "i1", 0);
+  book.Apply("base", "i1", Impostor(1), 0);
+  book.Find(FindingRegistry::KeyOf(Impostor(1)))->named = true;
+  book.Apply("base", "i1", Over(Impostor(1)), 5);
+  ASSERT_THAT(book.ended(), SizeIs(1));
+  EXPECT_EQ(book.ended().back().key, FindingRegistry::KeyOf(Impostor(1)));
+  EXPECT_EQ(book.ended().back().at_ns, 5);
+  EXPECT_TRUE(book.ended().back().named);
+  book.Apply("base", "i1", Over(Impostor(2)), 6);
+  EXPECT_FALSE(book.ended().back().named) << "it began before the server did";
+  for (uint8_t i = 3; i < 200; ++i) book.Apply("base", "i1", Over(Impostor(i)), i);
+  EXPECT_THAT(book.ended(), SizeIs(2));
+  EXPECT_EQ(book.ended().back().at_ns, 199);
 }
 
 constexpr char kRules[] = R"(
@@ -120,9 +163,278 @@ TEST_F(RobotFindingsTest, IsAnAlertAndAnEventOnceAndARecordWhenItIsOver) {
   Tell(Over(finding));
   Pass(100);
   EXPECT_THAT(robot_->core().findings().standing(), IsEmpty());
-  EXPECT_EQ(audience_.alerts.size(), alerts);
+  ASSERT_EQ(audience_.alerts.size(), alerts + 1);
+  const store::AlertRecord& end = audience_.alerts.back();
+  EXPECT_EQ(end.severity, "info");
+  EXPECT_EQ(end.event, "finding impostor ended");
+  EXPECT_THAT(end.text, HasSubstr("finding ended: impostor, node /rips, topic /cmd_vel"));
+  EXPECT_TRUE(end.trace.finding.over);
+  EXPECT_EQ(end.trace.finding.topic, "/cmd_vel");
   EXPECT_THAT(audience_.rule_logs,
               Contains(HasSubstr("(rips): no longer: finding impostor, node /rips")));
+}
+
+TEST_F(RobotFindingsTest, AlertNamesTheParticipantsAsTheGraphShowsThem) {
+  Start(kRules);
+  Arm();
+  ros2::GraphDelta delta;
+  delta.upsert_participants = {
+      {.guid = Participant(7), .host = "lab-pc", .pid = 4'711, .address = "10.0.0.66"},
+      {.guid = Participant(8), .host = "base", .pid = 12}};
+  delta.upsert_nodes = {{.full_name = "/camera", .participant = Participant(7)},
+                        {.full_name = "/camera", .participant = Participant(8)}};
+  SendDelta(std::move(delta));
+  Tell({.kind = "non_ros_writer", .guid = Writer(7), .topic = "/cmd_vel", .detail = "why"});
+  Pass(100);
+  const store::AlertRecord& alert = audience_.alerts.back();
+  EXPECT_EQ(alert.event, "finding non_ros_writer");
+  EXPECT_EQ(alert.trace.finding,
+            (FindingSeen{.kind = "non_ros_writer", .guid = Writer(7), .topic = "/cmd_vel"}));
+  EXPECT_THAT(alert.trace.subjects,
+              ElementsAre(engine::TracedSubject{.name = "/cmd_vel",
+                                                .role = "finding non_ros_writer",
+                                                .guid = Writer(7),
+                                                .host = "lab-pc",
+                                                .pid = 4'711,
+                                                .address = "10.0.0.66"}));
+
+  Tell({.kind = "duplicate_node", .guid = Participant(7), .node = "/camera"});
+  Pass(100);
+  const auto& both = audience_.alerts.back().trace.subjects;
+  EXPECT_THAT(both, SizeIs(3)) << "the first /camera, too";
+  EXPECT_EQ(both[0].role, "finding duplicate_node, is a node");
+  EXPECT_EQ(both[0].pid, 4'711u);
+
+  Tell({.kind = "foreign_mode_writer",
+        .guid = Writer(50),
+        .node = "/evil",
+        .topic = "/safety/change_mode"});
+  Pass(100);
+  ASSERT_THAT(audience_.alerts.back().trace.subjects, SizeIs(1));
+  EXPECT_EQ(audience_.alerts.back().trace.subjects[0].role,
+            "finding foreign_mode_writer on /safety/change_mode");
+  EXPECT_EQ(audience_.alerts.back().trace.subjects[0].host, "") << "it has left the graph";
+
+  Tell({.kind = "non_ros_reader", .detail = "7 more came and went within a minute"});
+  Pass(100);
+  EXPECT_FALSE(audience_.alerts.back().trace.has_finding()) << "it names nothing";
+  const size_t alerts = audience_.alerts.size();
+  Tell(Over({.kind = "non_ros_reader"}));
+  Pass(100);
+  EXPECT_EQ(audience_.alerts.size(), alerts);
+}
+
+TEST_F(RobotFindingsTest, SummaryNamesOneThatStandsAmongThoseThatHaveGone) {
+  Start(kRules);
+  Arm();
+  Pass(60'000);
+  const auto reader = [](int i) {
+    return FindingSeen{.kind = "non_ros_reader", .topic = absl::StrCat("/t", i), .detail = "reads"};
+  };
+  for (int i = 0; i < 20; ++i) Tell(reader(i));
+  for (int i = 20; i < 60; ++i) {
+    Tell(reader(i));
+    if (i != 33) Tell(Over(reader(i)));
+  }
+  Pass(2'000);
+  EXPECT_EQ(audience_.Count("finding non_ros_reader, topic /t33"), 0) << "folded away";
+  EXPECT_EQ(audience_.Count("finding ended: "), 0) << "of those that no alert names";
+  Pass(59'000);
+  EXPECT_EQ(audience_.Count("40 more findings non_ros_reader began within 1 s, merged into this "
+                            "alert; 1 of them stand now; all that stand: ripsctl robot coverage "
+                            "r1; the newest of them: finding non_ros_reader, topic /t33: reads"),
+            1);
+  const store::AlertRecord& summary = audience_.alerts.back();
+  EXPECT_EQ(summary.severity, "high");
+  EXPECT_EQ(summary.event, "finding non_ros_reader");
+  EXPECT_EQ(summary.trace.finding.topic, "/t33");
+  EXPECT_EQ(audience_.Count("more alerts of this kind"), 0) << "no second summary of the same";
+  Tell(Over(reader(33)));
+  Pass(100);
+  EXPECT_EQ(audience_.Count("finding ended: non_ros_reader, topic /t33"), 1) << "it has a name";
+}
+
+TEST_F(RobotFindingsTest, SummaryClaimsNothingThatIsNotKnown) {
+  Start(kRules);
+  Arm();
+  Pass(60'000);
+  for (int i = 0; i < 30; ++i) {
+    const FindingSeen finding{.kind = "non_ros_reader", .topic = absl::StrCat("/t", i)};
+    Tell(finding);
+    if (i % 2 == 1) Tell(Over(finding));
+  }
+  const FindingSeen made_up{.kind = "odd"};
+  for (int i = 0; i < 30; ++i) {
+    Tell(made_up);
+    Tell(Over(made_up));
+  }
+  robot_->OnSensorGone("base", sensor_.get());
+  sensor_.reset();
+  Pass(61'000);
+  EXPECT_EQ(audience_.Count("10 more findings non_ros_reader began within 1 s, merged into this "
+                            "alert; 5 of them stood as reported last (sensor base is not "
+                            "connected); all that stand: ripsctl robot coverage r1; "),
+            1);
+  EXPECT_EQ(audience_.Count("10 more findings of kinds that rules cannot name began within 1 s, "
+                            "merged into this alert; whether they stand is not known (sensor base "
+                            "is not connected); "),
+            1);
+}
+
+TEST_F(RobotFindingsTest, SummarySaysThatNoneStands) {
+  Start(kRules);
+  Arm();
+  Pass(60'000);
+  for (int i = 0; i < 50; ++i) {
+    const FindingSeen finding{.kind = "non_ros_reader", .topic = absl::StrCat("/t", i)};
+    Tell(finding);
+    Tell(Over(finding));
+  }
+  Pass(61'000);
+  EXPECT_EQ(audience_.Count("30 more findings non_ros_reader began within 1 s, merged into this "
+                            "alert; none of them stands now; "),
+            1);
+  EXPECT_EQ(audience_.Count("finding ended: non_ros_reader"), 20) << "as many as began";
+}
+
+TEST_F(RobotFindingsTest, EndsThatExceedTheLimitAreFoldedToo) {
+  Start(kRules);
+  Arm();
+  const auto reader = [](int i) {
+    return FindingSeen{.kind = "non_ros_reader", .topic = absl::StrCat("/t", i)};
+  };
+  // As slowly as each has an alert of its own.
+  for (int i = 0; i < 30; ++i) {
+    Tell(reader(i));
+    Pass(60'000);
+  }
+  for (int i = 0; i < 30; ++i) Tell(Over(reader(i)));
+  Pass(100);
+  EXPECT_EQ(audience_.Count("finding ended: "), 20);
+  Pass(61'000);
+  EXPECT_EQ(audience_.Count("10 more findings non_ros_reader ended within 1 s, merged into this "
+                            "alert; last: finding ended: non_ros_reader, topic /t29"),
+            1);
+}
+
+TEST_F(RobotFindingsTest, StateOfAFindingIsToldOnlyAsFarAsItIsKnown) {
+  using State = FindingState::State;
+  Start(kRules);
+  const Findings& findings = robot_->core().findings();
+  const auto reasons = [&](const FindingSeen& of) { return findings.StateOf(of).not_known; };
+  EXPECT_THAT(findings.NotKnown(), ElementsAre("sensor base is not connected"));
+  EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kNotKnown);
+  Arm();
+  EXPECT_THAT(
+      findings.NotKnown(),
+      ElementsAre("sensor base has connected a moment ago and may not have reported all yet"));
+  EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kNotKnown);
+  Tell(Impostor(1));
+  EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kStands);
+  EXPECT_EQ(findings.StateOf(Impostor(1)).since_unix_ns, clock_.Now().unix_ns);
+  EXPECT_EQ(findings.StateOf(Impostor(2)).state, State::kNotKnown);
+  Pass(60'000);
+  EXPECT_THAT(findings.NotKnown(), IsEmpty());
+  EXPECT_EQ(findings.StateOf(Impostor(2)).state, State::kEnded);
+  EXPECT_EQ(findings.StateOf(Impostor(2)).ended_unix_ns, 0) << "not seen";
+
+  const int64_t ended = clock_.Now().unix_ns;
+  Tell(Over(Impostor(1)));
+  Pass(1'000);
+  EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kEnded);
+  EXPECT_EQ(findings.StateOf(Impostor(1)).ended_unix_ns, ended);
+  EXPECT_THAT(reasons(Impostor(1)), IsEmpty());
+
+  Tell(Impostor(3));
+  robot_->OnSensorGone("base", sensor_.get());
+  EXPECT_EQ(findings.StateOf(Impostor(3)).state, State::kNotKnown);
+  EXPECT_GT(findings.StateOf(Impostor(3)).since_unix_ns, 0) << "it stood";
+  EXPECT_THAT(reasons(Impostor(3)), ElementsAre("sensor base is not connected"));
+  EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kEnded);
+  EXPECT_THAT(reasons(Impostor(1)), ElementsAre("sensor base is not connected"))
+      << "it may have begun anew";
+
+  sensor_ = std::make_shared<FakeSensor>();
+  robot_->OnSensorHello("base", sensor_,
+                        {.incarnation = "fedcba9876543210", .clock = clock_.Now()});
+  EXPECT_THAT(reasons(Impostor(3)),
+              ElementsAre("sensor base was restarted and has not reported it again yet"));
+  sensor_heartbeats_ = true;
+  Pass(61'000);
+  EXPECT_EQ(findings.StateOf(Impostor(3)).state, State::kEnded);
+  EXPECT_GT(findings.StateOf(Impostor(3)).ended_unix_ns, 0);
+  EXPECT_THAT(reasons(Impostor(3)), ElementsAre("the graph of sensor base has not settled"));
+  EXPECT_EQ(
+      audience_.Count("finding ended, as its restarted sensor did not report it again: impostor"),
+      1);
+}
+
+TEST_F(RobotFindingsTest, ASilentSensorOrABacklogIsNotTheLatestWord) {
+  Start(kRules);
+  Arm();
+  Pass(61'000);
+  Tell(Impostor(1));
+  sensor_heartbeats_ = false;
+  Pass(2'000);
+  const Findings& findings = robot_->core().findings();
+  EXPECT_THAT(findings.NotKnown(), ElementsAre("sensor base is silent"));
+  EXPECT_THAT(findings.StateOf(Impostor(1)).not_known, ElementsAre("sensor base is silent"));
+  robot_->OnSensorGone("base", sensor_.get());
+  ConnectSensor({{.incarnation = kIncarnation, .first_sequence = 1, .last_sequence = 1'000}});
+  EXPECT_THAT(findings.NotKnown(), ElementsAre("observations of sensor base are not judged yet"));
+}
+
+TEST_F(RobotFindingsTest, OfAServerThatWasRestartedASensorThatIsNotAskedHasNotToldAll) {
+  sensor_hosts_ = {"base", "laptop"};
+  store::RobotRecord record{.level = "DEFAULT", .decision_id = {.term = 1, .epoch = 1}};
+  for (const char* host : {"base", "laptop"}) {
+    record.high_water[{.host = host,
+                       .incarnation = "30313233343536373839616263646566",
+                       .lane = store::LaneKey::Lane::kControl}] = 7;
+  }
+  Start(kRules, record);
+  const auto laptop = std::make_shared<FakeSensor>();
+  ConnectSensor();
+  robot_->OnSensorHello("laptop", laptop, {.incarnation = kIncarnation, .clock = clock_.Now()});
+  next_sequence_[static_cast<int>(Lane::kControl)] = 8;
+  SendSnapshot();
+  for (int i = 0; i < 62; ++i) {
+    robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
+    Pass(1'000);
+  }
+  robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
+  EXPECT_TRUE(sensor_->setup.want_snapshot) << "with it base repeats its findings";
+  EXPECT_FALSE(laptop->setup.want_snapshot);
+  EXPECT_THAT(robot_->core().findings().NotKnown(),
+              ElementsAre("sensor laptop has not repeated its findings since the server's start"));
+}
+
+TEST_F(RobotFindingsTest, InBriefThereAreCountsByKindAndTheNewest) {
+  Start(kRules);
+  Arm();
+  Pass(61'000);
+  const Findings& findings = robot_->core().findings();
+  EXPECT_EQ(findings.Now().total, 0u);
+  EXPECT_THAT(findings.Now().not_known, IsEmpty());
+  ros2::GraphDelta delta;
+  delta.upsert_participants = {{.guid = Participant(7), .host = "lab-pc", .pid = 4'711}};
+  SendDelta(std::move(delta));
+  for (int i = 0; i < 3; ++i) {
+    Tell({.kind = "non_ros_reader", .guid = Participant(7), .topic = absl::StrCat("/t", i)});
+  }
+  for (int i = 0; i < 300; ++i) Tell({.kind = absl::StrCat("odd", i), .node = "/x"});
+  for (uint8_t i = 0; i < 4; ++i) Tell(Impostor(i));
+  const FindingsNow now = findings.Now();
+  EXPECT_EQ(now.total, 307u);
+  EXPECT_THAT(now.kinds,
+              ElementsAre(Pair("other", 300), Pair("impostor", 4), Pair("non_ros_reader", 3)));
+  ASSERT_THAT(now.newest, SizeIs(kNewestFindingsMax));
+  EXPECT_EQ(now.newest[0].finding, Impostor(3));
+  EXPECT_EQ(now.newest[4].finding.kind, "odd299");
+  Tell({.kind = "non_ros_reader", .guid = Participant(7), .topic = "/new"});
+  ASSERT_THAT(findings.Now().newest[0].subjects, SizeIs(1));
+  EXPECT_EQ(findings.Now().newest[0].subjects[0].host, "lab-pc");
+  EXPECT_EQ(findings.Now().newest[0].since_unix_ns, clock_.Now().unix_ns);
 }
 
 TEST_F(RobotFindingsTest, KindThatRulesDoNotKnowIsAnAlertAndNoEvent) {
@@ -150,7 +462,10 @@ TEST_F(RobotFindingsTest, FloodOfFindingsIsFoldedAndBounded) {
   Pass(2'000);
   EXPECT_LE(audience_.Count("finding non_ros_writer"), 20) << "as RIPS's own alerts";
   Pass(60'000);
-  EXPECT_EQ(audience_.Count("more alerts of this kind"), 1);
+  EXPECT_EQ(audience_.Count("5980 more findings non_ros_writer began within 1 s, merged into this "
+                            "alert; 4076 of them stood as reported last (sensor base has reported "
+                            "more findings than the 4096 that are kept); "),
+            1);
   EXPECT_THAT(robot_->core().findings().standing(), SizeIs(4'096));
 }
 

@@ -179,6 +179,25 @@ TEST_F(AlertFloodTest, ByFindingsOfKindsThatAreMadeUp) {
             kKindBytes);
 }
 
+// Each end of one that had an alert is an alert, too.
+TEST_F(AlertFloodTest, ByFindingsThatComeAndGo) {
+  EXPECT_LE(Flood([&](uint64_t i) {
+              std::vector<Observation> findings;
+              for (uint64_t k = 0; k < 4; ++k) {
+                FindingSeen finding{.kind = "impostor",
+                                    .node = Text(512, 4 * i + k),
+                                    .topic = Text(512, 4 * i + k),
+                                    .detail = Text(512, i)};
+                findings.push_back({.what = finding});
+                finding.over = true;
+                findings.push_back({.what = std::move(finding)});
+              }
+              SendBatch(Lane::kControl, std::move(findings));
+              Heartbeat();
+            }),
+            2 * kKindBytes);
+}
+
 TEST_F(AlertFloodTest, ByWhatASensorCannotSee) {
   EXPECT_LE(Flood([&](uint64_t i) {
               SensorStateSeen state{.overloaded = i % 2 == 0};

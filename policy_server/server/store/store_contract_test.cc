@@ -473,6 +473,7 @@ engine::Trace SomeTrace() {
   trace.subjects.push_back(
       {.name = "/x", .role = "is a node", .guid = {{1, 2, 3}}, .host = "h", .pid = 7});
   trace.subjects.push_back({.name = "\xf0\x9f\xa4\x96\n\x1b[2J", .role = "sent the message"});
+  trace.finding = {.kind = "impostor", .guid = {{1, 2, 3}}, .node = "/rips", .over = true};
   return trace;
 }
 
@@ -494,6 +495,16 @@ TEST_P(StoreContractTest, KeepsWhyARuleFired) {
   const auto page = store_->AlertsAfter("r1", 0, 10);
   ASSERT_THAT(page, IsOk());
   EXPECT_EQ(page->alerts[0].trace, SomeTrace());
+}
+
+TEST_P(StoreContractTest, KeepsTheFindingOfAnAlertThatNoRuleRaised) {
+  WriteBatch batch = Decide("r1", {1, 1}, "A", "B");
+  batch.alerts.push_back(MakeAlert("r1", "finding"));
+  batch.alerts[0].trace.finding = {.kind = "non_ros_reader", .topic = "/camera"};
+  batch.alerts[0].trace.subjects = {{.name = "/camera", .host = "h"}};
+  const engine::Trace trace = batch.alerts[0].trace;
+  ASSERT_THAT(store_->Commit(batch), IsOk());
+  EXPECT_EQ(store_->ListAlerts("r1", 1)->front().trace, trace);
 }
 
 TEST_P(StoreContractTest, FindsRecordsByTheBeginningOfTheirIds) {

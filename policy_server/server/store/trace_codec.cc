@@ -42,11 +42,23 @@ rips::v1::Evidence EncodeTrace(const engine::Trace& trace) {
   out.set_event_unix_ns(trace.event_unix_ns);
   out.set_bundle(trace.bundle);
   out.set_cut(trace.cut);
+  if (trace.has_finding()) *out.mutable_finding() = EncodeFinding(trace.finding);
+  return out;
+}
+
+rips::v1::Finding EncodeFinding(const model::Finding& finding) {
+  rips::v1::Finding out;
+  out.set_kind(ToUtf8(finding.kind));
+  if (!finding.guid.none()) out.set_guid(finding.guid.ToBytes());
+  out.set_node(ToUtf8(finding.node));
+  out.set_topic(ToUtf8(finding.topic));
+  out.set_detail(ToUtf8(finding.detail));
+  out.set_over(finding.over);
   return out;
 }
 
 std::string TraceToBytes(const engine::Trace& trace) {
-  return trace.none() ? std::string() : EncodeTrace(trace).SerializeAsString();
+  return trace == engine::Trace{} ? std::string() : EncodeTrace(trace).SerializeAsString();
 }
 
 engine::Trace TraceFromBytes(absl::string_view bytes) {
@@ -74,6 +86,12 @@ engine::Trace TraceFromBytes(absl::string_view bytes) {
                             .pid = subject.pid(),
                             .address = subject.address()});
   }
+  const rips::v1::Finding& finding = evidence.finding();
+  out.finding = {.kind = finding.kind(),
+                 .guid = ros2::GuidFromBytes(finding.guid()).value_or(ros2::Guid{}),
+                 .node = finding.node(),
+                 .topic = finding.topic(),
+                 .over = finding.over()};
   return out;
 }
 

@@ -1,5 +1,6 @@
 // Trace: why a rule fired, as it is recorded with what came of it. Owns all it says, so that it can
-// be read when rules, graph and robot have long changed.
+// be read when rules, graph and robot have long changed. RIPS's own alert of a finding has one with
+// nothing but the finding and its subjects.
 #ifndef RIPS_POLICY_SERVER_POLICY_ENGINE_STATE_TRACE_H_
 #define RIPS_POLICY_SERVER_POLICY_ENGINE_STATE_TRACE_H_
 
@@ -9,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "services/model/observation.h"
 #include "services/ros2/guid.h"
 
 namespace rips::engine {
@@ -44,7 +46,7 @@ struct TracedSubject {
 };
 
 struct Trace {
-  // `warehouse.rul:31`; empty = there is no trace.
+  // `warehouse.rul:31`; empty = no rule fired.
   std::string place;
   // As it stands in the file; at most kConditionBytesMax.
   std::string condition;
@@ -59,8 +61,13 @@ struct Trace {
   std::string bundle;
   // There were more values or subjects, or the condition is longer.
   bool cut = false;
+  // What was judged, if it was a finding, without its detail; without a kind: it was not. `over`:
+  // the alert records its end.
+  model::Finding finding;
 
+  // No rule fired.
   bool none() const { return place.empty(); }
+  bool has_finding() const { return !finding.kind.empty(); }
   friend bool operator==(const Trace&, const Trace&) = default;
 };
 

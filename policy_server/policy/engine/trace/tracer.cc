@@ -22,6 +22,7 @@ using lang::TypedExpr;
 
 constexpr char kNotEvaluated[] = "not evaluated";
 constexpr char kNotThere[] = "is not there";
+constexpr char kDuplicateNode[] = "duplicate_node";
 
 std::string Cut(absl::string_view text) { return Shortened(text, kTracedTextBytesMax); }
 
@@ -43,7 +44,8 @@ const EvalNode& Operand(const EvalNode& node, size_t index) {
 // Who is on a topic, or in the graph, with what their processes say of themselves.
 class Witnesses {
  public:
-  Witnesses(const ros2::RosGraph& graph, Trace& trace) : graph_(graph), trace_(trace) {}
+  Witnesses(const ros2::RosGraph& graph, Trace& trace, size_t subjects_max = kSubjectsMax)
+      : graph_(graph), trace_(trace), subjects_max_(std::min(subjects_max, kSubjectsMax)) {}
 
   void Add(TracedSubject subject) {
     for (TracedSubject& known : trace_.subjects) {
@@ -53,7 +55,7 @@ class Witnesses {
       }
       return;
     }
-    if (trace_.subjects.size() >= kSubjectsMax) {
+    if (trace_.subjects.size() >= subjects_max_) {
       trace_.cut = true;
       return;
     }
@@ -102,7 +104,23 @@ class Witnesses {
  private:
   const ros2::RosGraph& graph_;
   Trace& trace_;
+  const size_t subjects_max_;
 };
+
+// What identifies it, and who it is about.
+void AddFinding(const model::Finding& finding, Witnesses& witnesses, Trace& trace) {
+  trace.finding = finding;
+  trace.finding.detail.clear();
+  const std::string& name = finding.node.empty() ? finding.topic : finding.node;
+  if (name.empty() && finding.guid.none()) return;
+  std::string role = absl::StrCat("finding ", finding.kind);
+  if (!finding.node.empty() && !finding.topic.empty()) {
+    absl::StrAppend(&role, " on ", finding.topic);
+  }
+  witnesses.Add({.name = name, .role = std::move(role), .guid = finding.guid});
+  // Its GUID is of the last one that came.
+  if (finding.kind == kDuplicateNode) witnesses.AddNodes({finding.node});
+}
 
 class Tracer {
  public:
@@ -144,10 +162,7 @@ class Tracer {
     const auto* external = std::get_if<ExternalEvent>(&event_.what);
     if (external == nullptr) return;
     if (const auto* finding = std::get_if<model::Finding>(external)) {
-      const std::string& name = finding->node.empty() ? finding->topic : finding->node;
-      if (name.empty() && finding->guid.none()) return;
-      witnesses_.Add(
-          {.name = name, .role = absl::StrCat("finding ", finding->kind), .guid = finding->guid});
+      AddFinding(*finding, witnesses_, trace_);
     } else if (const auto* ids = std::get_if<model::IdsAlert>(external)) {
       if (!ids->src.empty()) witnesses_.Add({.name = ids->src, .role = "sent what the IDS saw"});
       if (!ids->dst.empty()) witnesses_.Add({.name = ids->dst, .role = "was its target"});
@@ -350,6 +365,14 @@ Trace TraceRule(Frame& frame, uint32_t index, levels::LevelIndex level) {
   tracer.Walk(rule.condition, *frame.program().compiled().conditions[index], 0, true);
   tracer.AddEvent();
   run.steps = steps;
+  return trace;
+}
+
+Trace TraceFinding(const model::Finding& finding, const ros2::RosGraph& graph,
+                   size_t subjects_max) {
+  Trace trace;
+  Witnesses witnesses(graph, trace, subjects_max);
+  AddFinding(finding, witnesses, trace);
   return trace;
 }
 

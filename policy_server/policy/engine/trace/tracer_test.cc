@@ -14,6 +14,7 @@ namespace {
 
 using ::testing::ElementsAre;
 using ::testing::IsEmpty;
+using ::testing::SizeIs;
 
 std::shared_ptr<const CompiledPolicy> Compiled(const std::string& text) {
   const lang::CompileResult result = lang::Compile({{.path = "some/dir/r.rul", .text = text}});
@@ -175,6 +176,37 @@ TEST_F(TracerTest, SaysWhatAProcessSaysOfItself) {
   EXPECT_EQ(trace.subjects[0].host, "laptop");
   EXPECT_EQ(trace.subjects[0].pid, 4711u);
   EXPECT_EQ(trace.subjects[0].address, "10.0.0.66");
+}
+
+TEST_F(TracerTest, SaysWhichFindingWasJudgedAndWhoItIsAbout) {
+  TestRobot robot(Compiled(Rules("External", "finding(\"duplicate_node\")")));
+  ros2::GraphDelta graph;
+  for (const uint8_t number : {1, 2}) {
+    const ros2::Guid guid{{1, 0x10, number, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 0xc1}};
+    graph.upsert_participants.push_back({.guid = guid, .host = "h", .pid = number});
+    graph.upsert_nodes.push_back({.full_name = "/arm", .participant = guid});
+  }
+  ros2::RosGraph shown;
+  ASSERT_THAT(shown.Apply(graph), IsOk());
+  robot.state.graph = shown;
+  const model::Finding finding{.kind = "duplicate_node",
+                               .guid = graph.upsert_participants[1].guid,
+                               .node = "/arm",
+                               .detail = "claimed by 2 participants"};
+  const Trace trace = TraceIn(robot.Judge(ExternalEvent(finding)));
+  EXPECT_EQ(trace.place, "r.rul:8");
+  EXPECT_EQ(trace.finding.node, "/arm");
+  EXPECT_EQ(trace.finding.guid, finding.guid);
+  EXPECT_EQ(trace.finding.detail, "") << "it does not say which one it is";
+  EXPECT_THAT(Who(trace), ElementsAre("/arm finding duplicate_node, is a node", "/arm is a node"));
+  EXPECT_EQ(trace.subjects[0].pid, 2u);
+  EXPECT_EQ(trace.subjects[1].pid, 1u);
+
+  const Trace own = TraceFinding(finding, shown, 1);
+  EXPECT_TRUE(own.none());
+  EXPECT_TRUE(own.has_finding() && own.cut);
+  EXPECT_THAT(own.subjects, SizeIs(1));
+  EXPECT_FALSE(TraceIn(OnGraph("nodecount(3, 3)")).has_finding());
 }
 
 TEST_F(TracerTest, ATruncatedGraphIsSaidToBeSo) {

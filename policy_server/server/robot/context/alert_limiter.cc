@@ -1,6 +1,7 @@
 #include "policy_server/server/robot/context/alert_limiter.h"
 
 #include <algorithm>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 
@@ -21,27 +22,36 @@ bool AlertLimiter::Admit(const std::string& kind, const engine::AlertEffect& ale
     bucket.tokens -= 1;
     return true;
   }
-  if (bucket.folded == 0) {
-    bucket.folded_since_ns = now.boottime_ns;
-    bucket.last = alert;
+  FoldedAlerts& folded = bucket.folded;
+  if (folded.count == 0) {
+    folded.first_ns = now.boottime_ns;
+    folded.alert = alert;
   }
-  ++bucket.folded;
-  bucket.last.severity = std::max(bucket.last.severity, alert.severity);
-  bucket.last.text = alert.text;
+  ++folded.count;
+  folded.last_ns = now.boottime_ns;
+  folded.alert.severity = std::max(folded.alert.severity, alert.severity);
+  folded.alert.text = alert.text;
   return false;
+}
+
+bool AlertLimiter::IsDue(const Bucket& bucket, Instant now) const {
+  return bucket.folded.count > 0 && now.boottime_ns - bucket.folded.first_ns >= limits_.summary_ns;
+}
+
+std::optional<FoldedAlerts> AlertLimiter::Pop(const std::string& kind, Instant now) {
+  const auto it = buckets_.find(kind);
+  if (it == buckets_.end() || !IsDue(it->second, now)) return std::nullopt;
+  return std::exchange(it->second.folded, {});
 }
 
 std::vector<engine::AlertEffect> AlertLimiter::Due(Instant now) {
   std::vector<engine::AlertEffect> due;
   for (auto& [kind, bucket] : buckets_) {
-    if (bucket.folded == 0 || now.boottime_ns - bucket.folded_since_ns < limits_.summary_ns) {
-      continue;
-    }
-    engine::AlertEffect summary = bucket.last;
-    summary.text = absl::StrCat(bucket.folded, " more alerts of this ", limits_.kind, " within ",
-                                limits_.within, "; last: ", bucket.last.text);
-    due.push_back(std::move(summary));
-    bucket.folded = 0;
+    if (!IsDue(bucket, now)) continue;
+    FoldedAlerts folded = std::exchange(bucket.folded, {});
+    folded.alert.text = absl::StrCat(folded.count, " more alerts of this ", limits_.kind,
+                                     " within ", limits_.within, "; last: ", folded.alert.text);
+    due.push_back(std::move(folded.alert));
   }
   return due;
 }

@@ -6,6 +6,7 @@
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERT_LIMITER_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -31,6 +32,16 @@ inline constexpr AlertLimits kOwnAlertLimits{.per_second = 1.0 / 60,
                                              .kind = "kind",
                                              .within = "a minute"};
 
+// Alerts of one kind that were folded away.
+struct FoldedAlerts {
+  uint64_t count = 0;
+  // CLOCK_BOOTTIME of the first and the last one, nanoseconds.
+  int64_t first_ns = 0;
+  int64_t last_ns = 0;
+  // The first one, with the newest text and the highest severity.
+  engine::AlertEffect alert;
+};
+
 // One per robot. Not thread-safe.
 class AlertLimiter {
  public:
@@ -44,15 +55,18 @@ class AlertLimiter {
   bool Admit(const std::string& kind, const engine::AlertEffect& alert, Instant now);
   // Summaries that are due: "N more like: TEXT", with the severity of the most severe.
   std::vector<engine::AlertEffect> Due(Instant now);
+  // What a summary that is due is made from, for a kind with words of its own: it is none of Due
+  // then. nullopt: none is due.
+  std::optional<FoldedAlerts> Pop(const std::string& kind, Instant now);
 
  private:
   struct Bucket {
     double tokens = 0;
     int64_t refilled_ns = 0;
-    uint64_t folded = 0;
-    int64_t folded_since_ns = 0;
-    engine::AlertEffect last;
+    FoldedAlerts folded;
   };
+  bool IsDue(const Bucket& bucket, Instant now) const;
+
   AlertLimits limits_;
   absl::btree_map<std::string, Bucket> buckets_;
 };

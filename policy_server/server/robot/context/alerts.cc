@@ -11,20 +11,34 @@ void Alerts::Raise(engine::Severity severity, const std::string& text, std::sour
   RaiseOfKind(absl::StrCat(where.file_name(), ":", where.line()), severity, text);
 }
 
-void Alerts::RaiseOfKind(const std::string& kind, engine::Severity severity,
-                         const std::string& text, const std::string& event) {
+bool Alerts::RaiseOfKind(const std::string& kind, engine::Severity severity,
+                         const std::string& text, const std::string& event,
+                         engine::SharedTrace trace) {
   engine::AlertEffect alert{.rule = std::string(kOwnRule),
                             .severity = severity,
                             .text = Shortened(text, kOwnAlertBytesMax),
                             .level = level_.level(),
-                            .decision_id = level_.decision_id()};
-  if (own_.Admit(kind, alert, context_.now())) Add(std::move(alert), event);
+                            .decision_id = level_.decision_id(),
+                            .trace = std::move(trace)};
+  if (!own_.Admit(kind, alert, context_.now())) return false;
+  Add(std::move(alert), event);
+  return true;
+}
+
+void Alerts::RaiseFolded(FoldedAlerts folded, const std::string& text, const std::string& event,
+                         engine::SharedTrace trace) {
+  folded.alert.text = Shortened(text, kOwnAlertBytesMax);
+  folded.alert.trace = std::move(trace);
+  Add(std::move(folded.alert), event);
 }
 
 void Alerts::RaiseAbsence(const std::string& text, std::source_location where) {
   const std::string kind = absl::StrCat(where.file_name(), ":", where.line());
   const std::string mark = maintenance_.MarkAt(context_.now());
-  if (mark.empty()) return RaiseOfKind(kind, engine::Severity::kHigh, text);
+  if (mark.empty()) {
+    RaiseOfKind(kind, engine::Severity::kHigh, text);
+    return;
+  }
   RaiseOfKind(absl::StrCat(kind, " in maintenance"), engine::Severity::kInfo,
               absl::StrCat(text, "; ", mark));
 }

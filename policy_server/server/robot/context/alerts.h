@@ -3,6 +3,7 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_ALERTS_H_
 
+#include <optional>
 #include <source_location>
 #include <string>
 
@@ -25,9 +26,17 @@ class Alerts {
   // RIPS's own. What one place in the code says is one kind, for the limit.
   void Raise(engine::Severity severity, const std::string& text,
              std::source_location where = std::source_location::current());
-  // The same of a kind that is given; `event`: what it was raised for, may be empty.
-  void RaiseOfKind(const std::string& kind, engine::Severity severity, const std::string& text,
-                   const std::string& event = "");
+  // The same of a kind that is given; `event`: what it was raised for, may be empty. False: it was
+  // folded away.
+  bool RaiseOfKind(const std::string& kind, engine::Severity severity, const std::string& text,
+                   const std::string& event = "", engine::SharedTrace trace = nullptr);
+  // Alerts of that kind that were folded away, if their summary is due. The caller raises it.
+  std::optional<FoldedAlerts> PopFolded(const std::string& kind) {
+    return own_.Pop(kind, context_.now());
+  }
+  // As of the last one that was folded away, with these words; no limit holds.
+  void RaiseFolded(FoldedAlerts folded, const std::string& text, const std::string& event,
+                   engine::SharedTrace trace = nullptr);
   // RIPS's own, that an agent is absent: high, but info, with the reason, in a maintenance. Those
   // of a maintenance are a kind of their own: they use up no rate of those after it.
   void RaiseAbsence(const std::string& text,

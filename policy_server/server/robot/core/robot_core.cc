@@ -80,7 +80,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
       own_agents_(&context_, &alerts_, &state_.graph),
       losses_(&context_, &alerts_, &gate_),
       sensors_(&context_, &alerts_, &gate_, &own_agents_, &losses_, start.record),
-      findings_(&context_, &alerts_),
+      findings_(&context_, &alerts_, &sensors_, &state_.graph),
       sight_(&context_, &alerts_, &own_agents_, &sensors_, &state_.graph),
       actuators_(&context_, &alerts_, &outbox_, &own_agents_, &state_.level),
       drills_(&context_, &alerts_, &actuators_, &state_.level),
@@ -177,7 +177,8 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           [&](const input::StartDrill& in) { return drills_.Start(in), kAll; },
           [&](const input::RefusedOrder& in) { return orders_.OnRefused(in), kAll; },
           [&](const input::Report& in) {
-            return alerts_.RaiseOfKind(in.kind, in.severity, in.text), kAll;
+            alerts_.RaiseOfKind(in.kind, in.severity, in.text);
+            return kAll;
           },
           [&](const input::SwapPolicy& in) { return OnSwapPolicy(in), kAll; },
           [&](const input::WatchAlso& in) {
@@ -248,7 +249,7 @@ void RobotCore::Flush() {
 RobotCore::After RobotCore::OnSensorHello(const input::SensorHello& in) {
   context_.store = in.store;
   if (!sensors_.OnHello(in)) return After::kRoutine;
-  findings_.OnIncarnation(in.host, in.hello.incarnation);
+  findings_.OnHello(*sensors_.Listed(in.host));
   sight_.OnState(*sensors_.Listed(in.host));
   judge_.Wake();
   return After::kFlushAndPublish;
@@ -353,6 +354,7 @@ void RobotCore::OnTick() {
   sight_.Report(actuators_.PartsVerified());
   decider_.Expire();
   losses_.Report();
+  findings_.Summarize();
   alerts_.Summarize();
 }
 

@@ -89,7 +89,10 @@ void MaintenanceOrders::ReportEnd(const std::string& kind, const std::string& te
     if (host.lost) lost.push_back(absl::StrCat("sensor ", name));
   }
   for (const std::string& name : actuators_.lost()) lost.push_back(absl::StrCat("actuator ", name));
-  if (lost.empty()) return alerts_.RaiseOfKind(kind, engine::Severity::kInfo, text);
+  if (lost.empty()) {
+    alerts_.RaiseOfKind(kind, engine::Severity::kInfo, text);
+    return;
+  }
   // Not of one kind with an end at which nothing is wrong.
   alerts_.RaiseOfKind(
       absl::StrCat(kind, ", agents lost"), engine::Severity::kHigh,

@@ -1,15 +1,21 @@
 #include "policy_server/server/robot/sight/findings.h"
 
 #include <algorithm>
+#include <memory>
+#include <optional>
+#include <utility>
 
+#include "absl/container/btree_map.h"
 #include "absl/strings/str_cat.h"
+#include "policy_server/policy/engine/trace/tracer.h"
 #include "policy_server/policy/lang/check/signature.h"
 
 namespace rips::pipeline {
 namespace {
 
+// Behind `finding `.
 std::string Text(const FindingSeen& finding) {
-  std::string text = absl::StrCat("finding ", finding.kind);
+  std::string text = finding.kind;
   if (!finding.node.empty()) absl::StrAppend(&text, ", node ", finding.node);
   if (!finding.topic.empty()) absl::StrAppend(&text, ", topic ", finding.topic);
   if (!finding.guid.none()) absl::StrAppend(&text, ", GUID ", ToString(finding.guid));
@@ -23,7 +29,18 @@ bool IsKindOfRules(absl::string_view kind) {
   return std::find(words.begin(), words.end(), kind) != words.end();
 }
 
+// A sensor also reports how many others came and went; that names nothing.
+bool HasSubject(const FindingSeen& finding) {
+  return !finding.guid.none() || !finding.node.empty() || !finding.topic.empty();
+}
+
+std::string EventOf(absl::string_view kind) {
+  return kind.empty() ? "finding" : absl::StrCat("finding ", kind);
+}
+
 }  // namespace
+
+// --------------------------------------------------------------------------- what sensors report
 
 bool Findings::OnFinding(const std::string& host, const std::string& incarnation,
                          const FindingSeen& finding) {
@@ -31,8 +48,8 @@ bool Findings::OnFinding(const std::string& host, const std::string& incarnation
     case FindingRegistry::News::kKnown:
       return false;
     case FindingRegistry::News::kEnds:
-      context_.Do(
-          action::LogRule{std::string(kOwnRule), absl::StrCat("no longer: ", Text(finding))});
+      Log("no longer", finding);
+      RaiseEnd("finding ended", finding, registry_.ended().back().named);
       return false;
     case FindingRegistry::News::kBegins:
     case FindingRegistry::News::kTooMany:
@@ -40,22 +57,198 @@ bool Findings::OnFinding(const std::string& host, const std::string& incarnation
   }
   // A sensor may make kinds up, and each kind has its own limit.
   const bool listed = IsKindOfRules(finding.kind);
-  const std::string event = absl::StrCat("finding ", finding.kind);
-  alerts_.RaiseOfKind(listed ? event : "finding", engine::Severity::kHigh,
-                      absl::StrCat("sensor ", host, ": ", Text(finding)), event);
+  const std::string limit = EventOf(listed ? finding.kind : "");
+  const bool raised = alerts_.RaiseOfKind(
+      limit, engine::Severity::kHigh, absl::StrCat("sensor ", host, ": finding ", Text(finding)),
+      EventOf(finding.kind), TraceOf(finding));
+  if (!raised) folded_.insert({.limit = limit, .kind = listed ? finding.kind : ""});
+  FindingRegistry::Entry* entry = registry_.Find(FindingRegistry::KeyOf(finding));
+  if (entry != nullptr) entry->named = raised;
   return listed;
 }
 
-void Findings::OnIncarnation(const std::string& host, const std::string& incarnation) {
-  registry_.OnIncarnation(host, incarnation, context_.now_ns());
+void Findings::Log(absl::string_view what, const FindingSeen& finding) {
+  context_.Do(
+      action::LogRule{std::string(kOwnRule), absl::StrCat(what, ": finding ", Text(finding))});
+}
+
+void Findings::RaiseEnd(absl::string_view what, FindingSeen finding, bool named) {
+  if (!named || !HasSubject(finding)) return;
+  const std::string text = absl::StrCat(what, ": ", Text(finding));
+  finding.over = true;
+  finding.detail.clear();
+  engine::Trace trace;
+  trace.finding = finding;
+  const std::string kind = IsKindOfRules(finding.kind) ? finding.kind : "";
+  const std::string limit = absl::StrCat(EventOf(kind), " ended");
+  const bool raised = alerts_.RaiseOfKind(limit, engine::Severity::kInfo, text,
+                                          absl::StrCat(EventOf(finding.kind), " ended"),
+                                          std::make_shared<const engine::Trace>(std::move(trace)));
+  if (!raised) folded_.insert({.limit = limit, .kind = kind, .ends = true});
+}
+
+void Findings::OnHello(const SensorHost& host) {
+  const std::string& incarnation = host.session->incarnation;
+  const bool from_first = host.sequences.Judged(incarnation, Lane::kControl) == 0;
+  // As SensorSide asks: a sensor that is asked for its graph repeats its findings, too.
+  const bool asked =
+      host.name == context_.config.primary_sensor && host.graph_incarnation != incarnation;
+  registry_.OnIncarnation(host.name, incarnation, context_.now_ns(), from_first || asked);
 }
 
 void Findings::Expire() {
-  for (const FindingSeen& finding : registry_.Expire(context_.now_ns())) {
-    context_.Do(
-        action::LogRule{std::string(kOwnRule),
-                        absl::StrCat("not told again by a restarted sensor: ", Text(finding))});
+  for (FindingRegistry::Entry& entry : registry_.Expire(context_.now_ns())) {
+    Log("not told again by a restarted sensor", entry.finding);
+    RaiseEnd("finding ended, as its restarted sensor did not report it again",
+             std::move(entry.finding), entry.named);
   }
+}
+
+// ------------------------------------------------------------------------------------- summaries
+
+void Findings::Summarize() {
+  for (auto it = folded_.begin(); it != folded_.end();) {
+    std::optional<FoldedAlerts> folded = alerts_.PopFolded(it->limit);
+    if (!folded.has_value()) {
+      ++it;
+      continue;
+    }
+    const Folded kind = *it;
+    it = folded_.erase(it);
+    FindingRegistry::Entry* newest = nullptr;
+    size_t standing = 0;
+    for (const auto& [key, entry] : registry_.entries()) {
+      const std::string& of = entry.finding.kind;
+      if (kind.ends || entry.named || entry.since_ns < folded->first_ns) continue;
+      if (kind.kind.empty() ? IsKindOfRules(of) : of != kind.kind) continue;
+      ++standing;
+      if (newest == nullptr || entry.order > newest->order) newest = registry_.Find(key);
+    }
+    const std::string text = SummaryOf(kind, *folded, newest, standing);
+    engine::SharedTrace trace;
+    if (newest != nullptr) {
+      newest->named = true;
+      trace = TraceOf(newest->finding);
+    }
+    alerts_.RaiseFolded(*std::move(folded), text, EventOf(kind.kind) + (kind.ends ? " ended" : ""),
+                        std::move(trace));
+  }
+}
+
+std::string Findings::SummaryOf(const Folded& kind, const FoldedAlerts& folded,
+                                FindingRegistry::Entry* newest, size_t standing) const {
+  const int64_t seconds = (folded.last_ns - folded.first_ns) / kNanosPerSecond + 1;
+  std::string text = absl::StrCat(folded.count, " more findings ",
+                                  kind.kind.empty() ? "of kinds that rules cannot name" : kind.kind,
+                                  kind.ends ? " ended within " : " began within ", seconds,
+                                  " s, merged into this alert");
+  if (kind.ends) return absl::StrCat(text, "; last: ", folded.alert.text);
+  const std::vector<std::string> not_known = NotKnown();
+  if (standing > 0) {
+    absl::StrAppend(&text, "; ", standing, " of them ",
+                    not_known.empty() ? "stand now" : "stood as reported last");
+  } else {
+    absl::StrAppend(&text, not_known.empty() ? "; none of them stands now"
+                                             : "; whether they stand is not known");
+  }
+  if (!not_known.empty()) absl::StrAppend(&text, " (", not_known.front(), ")");
+  absl::StrAppend(&text, "; all that stand: ripsctl robot coverage ", context_.config.id);
+  return newest != nullptr
+             ? absl::StrCat(text, "; the newest of them: finding ", Text(newest->finding))
+             : absl::StrCat(text, "; last: ", folded.alert.text);
+}
+
+// ---------------------------------------------------------------------------------- what is known
+
+std::string Findings::NotCurrent(const SensorHost& host) const {
+  if (!host.session) return absl::StrCat("sensor ", host.name, " is not connected");
+  if (context_.now_ns() - host.session->heard_ns > context_.timing.stale_ns) {
+    return absl::StrCat("sensor ", host.name, " is silent");
+  }
+  if (host.HasBacklog()) {
+    return absl::StrCat("observations of sensor ", host.name, " are not judged yet");
+  }
+  return "";
+}
+
+std::vector<std::string> Findings::NotKnown() const {
+  std::vector<std::string> reasons;
+  for (const auto& [name, host] : sensors_.hosts()) {
+    if (reasons.size() == kNotKnownMax) break;
+    std::string reason = NotCurrent(host);
+    if (reason.empty()) {
+      const std::string not_told = registry_.NotToldAll(name, context_.now_ns());
+      if (!not_told.empty()) reason = absl::StrCat("sensor ", name, " ", not_told);
+    }
+    if (reason.empty() && name == context_.config.primary_sensor && !host.settled) {
+      reason = absl::StrCat("the graph of sensor ", name, " has not settled");
+    }
+    if (!reason.empty()) reasons.push_back(std::move(reason));
+  }
+  if (sensors_.hosts().empty()) reasons.push_back("the inventory lists no sensor of this robot");
+  return reasons;
+}
+
+FindingsNow Findings::Now() const {
+  FindingsNow now{.total = registry_.entries().size(), .not_known = NotKnown()};
+  absl::btree_map<std::string, size_t> counts;
+  std::vector<const FindingRegistry::Entry*> newest;
+  newest.reserve(now.total);
+  for (const auto& [key, entry] : registry_.entries()) {
+    ++counts[IsKindOfRules(entry.finding.kind) ? entry.finding.kind : kOtherKinds];
+    newest.push_back(&entry);
+  }
+  now.kinds.assign(counts.begin(), counts.end());
+  std::stable_sort(now.kinds.begin(), now.kinds.end(),
+                   [](const auto& a, const auto& b) { return a.second > b.second; });
+  const size_t shown = std::min(newest.size(), kNewestFindingsMax);
+  std::partial_sort(newest.begin(), newest.begin() + static_cast<ptrdiff_t>(shown), newest.end(),
+                    [](const auto* a, const auto* b) { return a->order > b->order; });
+  for (size_t i = 0; i < shown; ++i) {
+    now.newest.push_back(
+        {.finding = newest[i]->finding,
+         .since_unix_ns = UnixOf(newest[i]->since_ns),
+         .subjects =
+             engine::TraceFinding(newest[i]->finding, graph_.get(), kFindingSubjectsMax).subjects});
+  }
+  return now;
+}
+
+FindingState Findings::StateOf(const FindingSeen& finding) const {
+  using State = FindingState::State;
+  const FindingRegistry::Key key = FindingRegistry::KeyOf(finding);
+  if (const FindingRegistry::Entry* entry = registry_.Find(key)) {
+    FindingState state{.since_unix_ns = UnixOf(entry->since_ns)};
+    for (const auto& [name, until_ns] : entry->told_by) {
+      const auto host = sensors_.hosts().find(name);
+      std::string reason;
+      if (host == sensors_.hosts().end()) {
+        reason = absl::StrCat("the inventory no longer lists sensor ", name);
+      } else if (reason = NotCurrent(host->second); reason.empty() && until_ns != 0) {
+        reason = absl::StrCat("sensor ", name, " was restarted and has not reported it again yet");
+      }
+      if (reason.empty()) return {.state = State::kStands, .since_unix_ns = state.since_unix_ns};
+      if (state.not_known.size() < kNotKnownMax) state.not_known.push_back(std::move(reason));
+    }
+    return state;
+  }
+  // It may have begun anew where not all is known.
+  FindingState state{.not_known = NotKnown()};
+  const auto& ended = registry_.ended();
+  const auto end = std::find_if(ended.rbegin(), ended.rend(),
+                                [&key](const auto& each) { return each.key == key; });
+  if (end != ended.rend()) state.ended_unix_ns = UnixOf(end->at_ns);
+  if (end != ended.rend() || state.not_known.empty()) state.state = State::kEnded;
+  return state;
+}
+
+engine::SharedTrace Findings::TraceOf(const FindingSeen& finding) const {
+  if (!HasSubject(finding)) return nullptr;
+  return std::make_shared<const engine::Trace>(engine::TraceFinding(finding, graph_.get()));
+}
+
+int64_t Findings::UnixOf(int64_t boottime_ns) const {
+  return context_.now().unix_ns - (context_.now_ns() - boottime_ns);
 }
 
 }  // namespace rips::pipeline
