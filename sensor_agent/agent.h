@@ -62,6 +62,11 @@ class Agent {
   // OK while the policy server takes what is seen. Any thread.
   absl::Status Ready() const { return uplink_->Ready(); }
   const ros2::Guid& participant() const { return domain_->own(); }
+  // See Uplink. Any thread.
+  void SayConfiguration(const std::vector<ConfigSetting>& settings,
+                        const std::vector<std::string>& refused) {
+    uplink_->SayConfiguration(settings, refused);
+  }
 
  private:
   Agent(const SensorConfig& config, const Clock* clock, Metrics* metrics);

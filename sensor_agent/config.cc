@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "sensor_agent/wire/socket_address.h"
+#include "services/base/cut_text.h"
 #include "services/base/status_macros.h"
 
 namespace rips::sensor {
@@ -81,6 +82,18 @@ absl::StatusOr<SensorConfig> Parse(absl::string_view file, absl::string_view tex
   return config;
 }
 
+// Of what a server that is not ours might send.
+void LimitRefused(std::vector<std::string>& refused) {
+  constexpr size_t kRefusedMax = 32;
+  constexpr size_t kTextBytesMax = 512;
+  if (refused.size() > kRefusedMax) {
+    const size_t more = refused.size() - kRefusedMax + 1;
+    refused.resize(kRefusedMax - 1);
+    refused.push_back(absl::StrCat("and ", more, " more"));
+  }
+  for (std::string& text : refused) text = Shortened(text, kTextBytesMax);
+}
+
 }  // namespace
 
 absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::string_view text,
@@ -96,17 +109,21 @@ absl::StatusOr<SensorConfig> ParseSensorConfig(absl::string_view file, absl::str
                                          "): `server_may_set` of ", file, " does not list it"));
     }
   }
-  if (allowed.empty()) return own;
-  absl::StatusOr<SensorConfig> both = Parse(file, text, allowed);
-  if (both.ok()) {
-    both->refused = std::move(own.refused);
-    return both;
+  if (!allowed.empty()) {
+    absl::StatusOr<SensorConfig> both = Parse(file, text, allowed);
+    if (both.ok()) {
+      both->refused = std::move(own.refused);
+      own = *std::move(both);
+    } else {
+      std::vector<std::string> paths;
+      for (const ConfigSetting& each : allowed) paths.push_back(each.path);
+      own.refused.insert(own.refused.begin(),
+                         absl::StrCat("`", absl::StrJoin(paths, "`, `"),
+                                      "`: not all that the policy server sets is valid: ",
+                                      both.status().message()));
+    }
   }
-  for (const ConfigSetting& each : allowed) {
-    own.refused.push_back(
-        absl::StrCat("`", each.path, ": ", each.value, "` (", each.source,
-                     "): not all that the policy server sets is valid: ", both.status().message()));
-  }
+  LimitRefused(own.refused);
   return own;
 }
 

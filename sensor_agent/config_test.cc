@@ -142,9 +142,19 @@ TEST(SensorConfigTest, OneWrongSettingOfTheServerLeavesAllOfThemOut) {
     EXPECT_EQ(config->watch.settle, absl::Seconds(1)) << value;
     EXPECT_EQ(config->watch.outbox_memory.bytes, 64 << 20) << value;
     EXPECT_TRUE(config->watch.signals) << value;
-    ASSERT_THAT(config->refused, testing::SizeIs(2)) << value;
+    ASSERT_THAT(config->refused, testing::SizeIs(1)) << value;
+    EXPECT_THAT(config->refused[0], HasSubstr("`outbox.memory`, `settle`: not all")) << value;
     EXPECT_THAT(config->refused[0], HasSubstr("policy server, robots.yaml:5: `settle`")) << value;
   }
+}
+
+TEST(SensorConfigTest, SaysNoEndlessThingsOfWhatItRefuses) {
+  std::vector<ConfigSetting> many(5'000, {std::string(300, 'p'), std::string(900, 'v'), "s"});
+  const auto config = ParseSensorConfig("sensor.yaml", absl::StrCat(kMinimal, kLetting), many);
+  ASSERT_THAT(config, IsOk());
+  EXPECT_THAT(config->refused, testing::SizeIs(32));
+  EXPECT_EQ(config->refused.back(), "and 4969 more");
+  EXPECT_THAT(config->refused.front(), testing::SizeIs(testing::Le(512u)));
 }
 
 TEST(SensorConfigTest, NamesWhatTheServerMayBeLetSet) {

@@ -65,28 +65,73 @@ std::string Describe(const SensorConfig& config, const Agent& sensor) {
       ready.ok() ? "connected to the policy server" : "not connected: ", ready.message());
 }
 
-// The policy server's settings, and which of them a run follows.
+struct OwnFile {
+  std::string path;
+  std::string text;  // valid
+};
+
+// The policy server's settings, and what a run of the sensor follows of them.
 class Following {
  public:
-  // Not over before CLOCK_BOOTTIME `not_before_ns`.
-  Following(ServerSettings* settings, int64_t not_before_ns)
-      : settings_(*settings), followed_(settings_.Get()), not_before_ns_(not_before_ns) {}
+  // Begins nothing anew before CLOCK_BOOTTIME `not_before_ns`.
+  Following(const OwnFile& file, ServerSettings* settings, int64_t not_before_ns)
+      : file_(file),
+        settings_(*settings),
+        followed_(settings_.Get()),
+        config_(Configure(followed_)),
+        not_before_ns_(not_before_ns) {
+    LogRefused();
+  }
 
-  const std::vector<ConfigSetting>& followed() const { return followed_; }
+  const SensorConfig& config() const { return config_; }
+  // Any thread.
   void Offer(std::vector<ConfigSetting> offered) { settings_.Offer(std::move(offered)); }
-  // It is time to begin anew with others.
-  bool over() const { return BoottimeNs() >= not_before_ns_ && settings_.Differ(followed_); }
+  // True if the sensor is to begin anew. Where its file lets the server change nothing of what has
+  // changed, it only says so.
+  bool Poll(Agent& sensor) {
+    if (!settings_.Differ(followed_)) {
+      waiting_ = false;
+      return false;
+    }
+    std::vector<ConfigSetting> offered = settings_.Get();
+    SensorConfig next = Configure(offered);
+    if (next.watch == config_.watch) {
+      followed_ = std::move(offered);
+      config_ = std::move(next);
+      sensor.SayConfiguration(config_.settings, config_.refused);
+      LogRefused();
+      return false;
+    }
+    const int64_t left_ns = not_before_ns_ - BoottimeNs();
+    if (left_ns > 0 && !std::exchange(waiting_, true)) {
+      LogInfo("the policy server has changed this sensor's settings again; following them later",
+              {{"seconds", left_ns / kNanosPerSecond + 1}});
+    }
+    return left_ns <= 0;
+  }
 
  private:
+  SensorConfig Configure(const std::vector<ConfigSetting>& settings) const {
+    return *ParseSensorConfig(file_.path, file_.text, settings);
+  }
+  void LogRefused() const {
+    for (const std::string& refused : config_.refused) {
+      LogWarning("not following a setting of the policy server", {{"error", refused}});
+    }
+  }
+
+  const OwnFile& file_;
   ServerSettings& settings_;
-  const std::vector<ConfigSetting> followed_;
+  std::vector<ConfigSetting> followed_;
+  SensorConfig config_;
   const int64_t not_before_ns_;
+  bool waiting_ = false;
 };
 
 // Nullopt: the policy server's settings have changed.
-std::optional<int> WaitForEnd(SignalWaiter& signals, const Following& following) {
+std::optional<int> WaitForEnd(SignalWaiter& signals, Following& following, Agent& sensor) {
   while (!signals.WaitForShutdown(kSettingsLook)) {
-    if (following.over()) return std::nullopt;
+    if (following.Poll(sensor)) return std::nullopt;
   }
   return signals.WaitForShutdown();
 }
@@ -112,7 +157,7 @@ std::optional<int> Watch(const DaemonFlags& flags, const SensorConfig& config, A
       manager.SetStatus(Describe(config, sensor));
       return ServiceManager::kStatusEvery;
     });
-    signal = WaitForEnd(signals, following);
+    signal = WaitForEnd(signals, following, sensor);
   }
   if (!signal.has_value()) {
     LogInfo("the policy server has changed this sensor's settings; beginning to watch anew");
@@ -218,25 +263,24 @@ int RunDaemon(const DaemonFlags& flags) {
     std::fprintf(stderr, "%s\n", std::string(own.status().message()).c_str());
     return kExitConfig;
   }
+  const OwnFile file{.path = flags.config, .text = *text};
   ServerSettings from_server(ServerSettingsFile(own->state_dir));
+  if (flags.check_config) {
+    return CheckConfig(flags.config,
+                       *ParseSensorConfig(flags.config, file.text, from_server.Get()));
+  }
   for (int64_t not_before_ns = 0;; not_before_ns = BoottimeNs() + kSettingsPauseNs) {
-    Following following(&from_server, not_before_ns);
-    const absl::StatusOr<SensorConfig> config =
-        ParseSensorConfig(flags.config, *text, following.followed());
-    if (!config.ok()) return Fail(kExitConfig, "wrong configuration", config.status());
-    if (flags.check_config) return CheckConfig(flags.config, *config);
-    for (const std::string& refused : config->refused) {
-      LogWarning("not following a setting of the policy server", {{"error", refused}});
-    }
-    rpc::CredentialsSource credentials(config->tls);
+    Following following(file, &from_server, not_before_ns);
+    const SensorConfig config = following.config();
+    rpc::CredentialsSource credentials(config.tls);
     credentials.Require(
-        [&config](const rpc::PeerIdentity& self) { return CheckIdentity(*config, self); });
+        [&config](const rpc::PeerIdentity& self) { return CheckIdentity(config, self); });
     // Whatever else is wrong with them may pass: what is seen meanwhile is kept.
     if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
       return Fail(kExitConfig, "wrong certificate", mine);
     }
     const std::optional<int> code =
-        Serve(flags, *config, std::move(credentials), manager, following);
+        Serve(flags, config, std::move(credentials), manager, following);
     if (code.has_value()) return *code;
   }
 }

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "policy_server/policy/bundle/inventory_files.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/log.h"
@@ -38,6 +39,17 @@ std::string Described(const std::string& name, const std::string& id) {
 bool SameHosts(const bundle::InventoryRobot& a, const bundle::InventoryRobot& b) {
   return a.sensors == b.sensors && a.actuators == b.actuators && a.graph_limits == b.graph_limits &&
          a.sensor_settings == b.sensor_settings;
+}
+
+// Robots of both inventories whose sensors are to follow other settings.
+std::vector<std::string> WithOtherSettings(const bundle::Inventory& before,
+                                           const bundle::Inventory& now) {
+  std::vector<std::string> robots;
+  for (const bundle::InventoryRobot& robot : now.robots) {
+    const bundle::InventoryRobot* old = before.Find(robot.id);
+    if (old != nullptr && old->sensor_settings != robot.sensor_settings) robots.push_back(robot.id);
+  }
+  return robots;
 }
 
 // One line of what may be a page of diagnostics: the whole is in the log.
@@ -213,6 +225,20 @@ void Fleet::Reload() {
   const bundle::Inventory now = taken ? *std::move(read) : inventory_;
   if (taken) {
     LogInfo("inventory read", {{"path", options_.inventory}, {"robots", now.robots.size()}});
+    for (const std::string& warning : now.warnings) {
+      LogWarning("inventory", {{"warning", warning}});
+    }
+  }
+  if (const std::vector<std::string> robots = WithOtherSettings(inventory_, now); !robots.empty()) {
+    constexpr size_t kNamedMax = 20;
+    const size_t named = std::min(robots.size(), kNamedMax);
+    alerts_->Raise(std::string(store::kServerRobot), engine::Severity::kInfo,
+                   absl::StrCat("the inventory sets other settings for sensors of ", robots.size(),
+                                robots.size() == 1 ? " robot: " : " robots: ",
+                                absl::StrJoin(robots.begin(),
+                                              robots.begin() + static_cast<ptrdiff_t>(named), ", "),
+                                named < robots.size() ? ", ..." : "",
+                                "; those that follow them begin to watch anew within a minute"));
   }
   RemoveMissing(now);
   Settle(now);
@@ -271,7 +297,9 @@ void Fleet::Change(const bundle::InventoryRobot& robot, const bundle::InventoryR
                    const absl::StatusOr<pipeline::Policy>& policy) {
   absl::Status posted;
   if (before == nullptr || !SameHosts(robot, *before)) {
-    LogInfo("hosts of a robot changed", {{"robot", robot.id}});
+    const bool settings = before != nullptr && robot.sensor_settings != before->sensor_settings;
+    LogInfo(settings ? "sensor settings of a robot changed" : "hosts of a robot changed",
+            {{"robot", robot.id}});
     posted.Update(pipeline_->Post(
         robot.id, pipeline::Queue::kOrders,
         [config = ToConfig(robot)](pipeline::Robot& each) { each.SetHosts(config); }));

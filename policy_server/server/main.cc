@@ -75,6 +75,8 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     warnings.push_back(absl::StrCat("no ", manifest, ": unless one is pushed, nothing judges ",
                                     robots, " robots"));
   }
+  warnings.insert(warnings.end(), inventory.inventory.warnings.begin(),
+                  inventory.inventory.warnings.end());
   rips::PrintWarnings(warnings);  // what may come before the daemon starts
   return 0;
 }

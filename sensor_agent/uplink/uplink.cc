@@ -99,7 +99,8 @@ Uplink::Uplink(UplinkOptions options, Hooks hooks, const Clock* clock, Metrics* 
       store_(options_.store_file),
       metrics_(metrics),
       core_(options_.core, NewIncarnation(), NewIncarnation()),
-      down_because_(absl::UnavailableError("not connected yet")) {}
+      down_because_(absl::UnavailableError("not connected yet")),
+      configuration_(model_proto::Encode(options_.settings, options_.refused)) {}
 
 Uplink::~Uplink() { Stop(); }
 
@@ -210,6 +211,15 @@ void Uplink::SetParticipant(const ros2::Guid& participant) {
   participant_ = participant;
 }
 
+void Uplink::SayConfiguration(const std::vector<ConfigSetting>& settings,
+                              const std::vector<std::string>& refused) {
+  MutexLock lock(&mu_);
+  configuration_ = model_proto::Encode(settings, refused);
+  if (!writer_.has_value()) return;
+  HandleLocked(StreamEnded{});
+  ReopenLocked("the configuration has changed");
+}
+
 void Uplink::InterestInUse(const std::string& id) {
   MutexLock lock(&mu_);
   interest_.InUse(id);
@@ -261,7 +271,7 @@ SensorMessage Uplink::MakeHello(const SendHello& action, Instant now) {
   hello->set_incarnation(action.incarnation);
   hello->set_host(options_.host);
   SetClock(now, hello->mutable_clock());
-  *hello->mutable_configuration() = model_proto::Encode(options_.settings, options_.refused);
+  *hello->mutable_configuration() = configuration_;
   sensor->set_domain(options_.domain);
   if (!participant_.none()) sensor->set_participant_guid(participant_.ToBytes());
   sensor->set_interest_in_use(interest_.in_use());

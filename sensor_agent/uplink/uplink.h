@@ -78,6 +78,9 @@ class Uplink {
   void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_);
   // This sensor on the bus, for the next hello; none() = not known.
   void SetParticipant(const ros2::Guid& participant) ABSL_LOCKS_EXCLUDED(mu_);
+  // As UplinkOptions has it from now on; a stream there is ends, and the next one says it.
+  void SayConfiguration(const std::vector<ConfigSetting>& settings,
+                        const std::vector<std::string>& refused) ABSL_LOCKS_EXCLUDED(mu_);
   // Whether this kind of traffic is visible from now on.
   void SetKindVisible(const std::string& kind, bool visible) ABSL_LOCKS_EXCLUDED(mu_);
   // Why what `input` ("ids", "wire", "graph") stands for is not seen, human-readable; empty = it
@@ -151,6 +154,7 @@ class Uplink {
   std::optional<BatchWriter> writer_ ABSL_GUARDED_BY(mu_);
   InterestExchange interest_ ABSL_GUARDED_BY(mu_);
   ros2::Guid participant_ ABSL_GUARDED_BY(mu_);
+  rips::v1::Configuration configuration_ ABSL_GUARDED_BY(mu_);
   // LineFree is to follow.
   std::atomic<bool> waits_for_line_ = false;
 

@@ -55,6 +55,9 @@ def follows_the_inventory(fleet):
                       "does not list it"], f"refused: {refused}")
     check("not followed: `signals: false`" in fleet.ripsctl("robot", "config", "r1")[1],
           "an operator does not see what is refused")
+    until(fleet, 10, "an alert tells of the change", lambda: any(
+        "other settings for sensors of 1 robot: r1" in each["text"]
+        for each in fleet.query("alert", "list")["alerts"]))
     check(fleet.sensor.child.pid == process and fleet.sensor.running, "the process has ended")
     fleet.wait_level("COMPROMISED", 20)
     check(len(decided(fleet)) == levels, f"a level has moved: {decided(fleet)[levels:]}")
@@ -76,6 +79,19 @@ def follows_the_inventory(fleet):
     check(len(decided(fleet)) == levels, f"a level has moved: {decided(fleet)[levels:]}")
 
 
+def one_that_follows_nothing_goes_on(fleet):
+    """It says so and is not disturbed, however often the inventory changes."""
+    fleet.arm()
+    for i in range(4):
+        reload(fleet, f"{{settle: {3 + i}s}}")
+        until(fleet, 20, "it says so", lambda: f"settle: {3 + i}s" in "".join(said(fleet)[1]))
+    check(said(fleet)[0]["settle"] == ("2s", None), f"it follows: {said(fleet)[0]['settle']}")
+    check(not any("beginning to watch anew" in line for _, line in fleet.sensor.lines),
+          "it has begun anew")
+    raised = [each["text"] for each in fleet.alerts() if each["severity"] != "info"]
+    check(not raised, f"alerts: {raised}")
+
+
 def changes_once_a_minute(fleet):
     """An inventory that is edited again and again does not keep a robot without its sensor, and a
     reload that changes nothing of the settings disturbs nothing."""
@@ -91,6 +107,8 @@ def changes_once_a_minute(fleet):
         reload(fleet, f"{{settle: {4 + i % 2}s}}")
         time.sleep(1)
     check(begun() == 1, f"begun anew {begun()} times within a minute")
+    check(any("following them later" in line for _, line in fleet.sensor.lines),
+          "its log does not say that it waits")
     set_in_inventory(fleet, "{settle: 3s}")
     inventory = (fleet.dir / "robots.yaml").read_text()
     fleet.write("robots.yaml", "# One more line, so that it stands elsewhere.\n" + inventory)
@@ -101,7 +119,7 @@ def changes_once_a_minute(fleet):
     until(fleet, 20, "it follows", lambda: said(fleet)[0]["settle"][0] == "1s")
 
 
-fleet_test.SCENARIOS = [follows_the_inventory, changes_once_a_minute]
+fleet_test.SCENARIOS = [follows_the_inventory, one_that_follows_nothing_goes_on, changes_once_a_minute]
 
 if __name__ == "__main__":
     sys.exit(fleet_test.main())

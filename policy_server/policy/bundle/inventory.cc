@@ -104,9 +104,12 @@ void ReadLabelBundles(const ConfigSection& root, absl::string_view file,
   CheckCount(root, "bundles", bundles->size(), kLabelEntriesMax);
 }
 
-void ReadLabelSettings(const ConfigSection& root, std::vector<LabelSettings>* all) {
+void ReadLabelSettings(const ConfigSection& root, absl::string_view file,
+                       std::vector<LabelSettings>* all) {
   for (const ConfigSection& section : root.Sections("sensor_settings")) {
-    ReadEntryLabels(section, &all->emplace_back().labels);
+    LabelSettings& added = all->emplace_back();
+    ReadEntryLabels(section, &added.labels);
+    added.source = absl::StrCat(file, ":", section.LineOf("set"));
     const ConfigSection set = section.RequiredSection("set");
     if (set.present() && set.Keys().empty()) {
       section.Problem("set", absl::StrCat("`set` is empty; it may have `",
@@ -198,6 +201,13 @@ absl::Status AssignBundles(Inventory& inventory) {
 }
 
 absl::Status AssignSensorSettings(Inventory& inventory) {
+  for (const LabelSettings& entry : inventory.sensor_settings) {
+    const bool fits = std::any_of(inventory.robots.begin(), inventory.robots.end(),
+                                  [&](const auto& robot) { return Fits(entry.labels, robot); });
+    if (fits) continue;
+    inventory.warnings.push_back(
+        absl::StrCat(entry.source, ": no robot has the labels of this entry of `sensor_settings`"));
+  }
   for (InventoryRobot& robot : inventory.robots) {
     absl::btree_set<absl::string_view> set;
     size_t bytes = 0;
@@ -259,7 +269,7 @@ absl::StatusOr<Inventory> ParseInventory(absl::string_view file, absl::string_vi
       root.Has("robots") || root.Has("bundles") || root.Has("sensor_settings");
   if (root.present() && !has_something) root.Problem("robots", "missing key `robots`");
   ReadLabelBundles(root, file, &inventory.bundles);
-  ReadLabelSettings(root, &inventory.sensor_settings);
+  ReadLabelSettings(root, file, &inventory.sensor_settings);
   for (const ConfigSection& section : root.Sections("robots")) {
     InventoryRobot robot;
     ReadName(section, "id", "robot id", &robot.id);

@@ -68,6 +68,7 @@ struct LabelBundle {
 struct LabelSettings {
   absl::btree_map<std::string, std::string> labels;  // empty = any robot
   std::vector<ConfigSetting> settings;               // at least one
+  std::string source;                                // `FILE:LINE`
 };
 
 struct Inventory {
@@ -77,6 +78,8 @@ struct Inventory {
   std::vector<LabelBundle> bundles;
   // All that fit a robot hold; of those that set the same, the first.
   std::vector<LabelSettings> sensor_settings;
+  // What is valid and does nothing, with its place. From AssignByLabels.
+  std::vector<std::string> warnings;
   // What is in force for each robot, by its id, and which line says it.
   absl::btree_map<std::string, std::vector<ConfigSetting>> settings;
 

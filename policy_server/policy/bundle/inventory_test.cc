@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
@@ -150,6 +151,17 @@ TEST(InventoryTest, SensorSettingsThatASensorWouldRefuseAreRefusedHere) {
   }
   EXPECT_THAT(ParseInventory("robots.yaml", "sensor_settings: [{labels: {a: b}}]"),
               StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("missing key")));
+}
+
+TEST(InventoryTest, SensorSettingsOfNoRobotAreAWarning) {
+  auto inventory = ParseInventory(
+      "robots.yaml",
+      absl::StrReplaceAll(kSensorSettings, {{"canary}\n    set", "canari}\n    set"}}));
+  ASSERT_THAT(inventory, IsOk());
+  ASSERT_THAT(AssignByLabels(*inventory), IsOk());
+  EXPECT_THAT(inventory->warnings,
+              ElementsAre("robots.yaml:5: no robot has the labels of this entry of "
+                          "`sensor_settings`"));
 }
 
 TEST(InventoryTest, SensorSettingsFitIntoWhatASensorIsSent) {

@@ -5,7 +5,9 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
 #include "policy_server/ripsctl/cli/json_output.h"
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/commands.h"
@@ -14,6 +16,18 @@
 
 namespace rips::ripsctl {
 namespace {
+
+// With each space after another one escaped: in a line that a terminal wraps, a gap as wide as the
+// terminal would make what an agent says look like a line of ours.
+std::string WithoutGaps(absl::string_view text) {
+  std::string out;
+  for (const char c : text) {
+    const bool gap =
+        c == ' ' && !out.empty() && (out.back() == ' ' || absl::EndsWith(out, "\\x20"));
+    absl::StrAppend(&out, gap ? "\\x20" : std::string(1, c));
+  }
+  return out;
+}
 
 class ShowConfiguration final : public Command {
  public:
@@ -27,6 +41,10 @@ class ShowConfiguration final : public Command {
     app.add_flag("--no-defaults", no_defaults_, "Leave out what no file says");
   }
   absl::Status Check() override {
+    if (!own_ && robot_.empty()) {
+      return absl::InvalidArgumentError(
+          "name a robot, one of `ripsctl robot list`, or write --policy-server");
+    }
     if (!own_) return CheckRobot(robot_);
     if (robot_.empty()) return absl::OkStatus();
     return absl::InvalidArgumentError("--policy-server goes with no ROBOT");
@@ -64,12 +82,13 @@ class ShowConfiguration final : public Command {
       if (each.source().empty() && no_defaults_) {
         ++defaults;
       } else {
-        table.Add({each.path(), each.value(), each.source().empty() ? "default" : each.source()});
+        table.Add({WithoutGaps(each.path()), WithoutGaps(each.value()),
+                   each.source().empty() ? "default" : WithoutGaps(each.source())});
       }
     }
     table.Print(out, "  ");
     for (const std::string& refused : configuration.refused()) {
-      out << "  not followed: " << EscapeText(refused) << "\n";
+      out << "  not followed: " << WithoutGaps(EscapeText(refused)) << "\n";
     }
     if (defaults > 0) {
       out << "  and " << defaults << (defaults == 1 ? " default\n" : " defaults\n");

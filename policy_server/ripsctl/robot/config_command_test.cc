@@ -2,6 +2,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/ripsctl/ripsctl_fixture.h"
@@ -9,6 +10,7 @@
 namespace rips::ripsctl {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 using testing::Not;
 
@@ -111,6 +113,12 @@ TEST_F(ConfigCommandTest, WhatAnAgentSaysIsEscaped) {
   const std::string text = Run({"robot", "config", "r1"}).out;
   EXPECT_THAT(text, Not(HasSubstr("\x1b")));
   EXPECT_THAT(text, HasSubstr("evil\\x0a"));
+
+  fake_.configuration.mutable_agents(0)->mutable_configuration()->add_refused(
+      absl::StrCat("x", std::string(60, ' '), "sensor r9, as it said"));
+  EXPECT_THAT(Run({"robot", "config", "r1"}).out,
+              AllOf(HasSubstr("x \\x20\\x20"), HasSubstr("\\x20sensor r9")))
+      << "wrapped, it would look like the head of another agent";
 }
 
 }  // namespace

@@ -1,4 +1,6 @@
 // What is recorded of a rule that fired: what each part of its condition was, and who made it true.
+#include "policy_server/policy/engine/trace/tracer.h"
+
 #include <memory>
 #include <string>
 #include <vector>

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <utility>
 
 #include "services/base/saturating.h"
 
@@ -41,7 +42,7 @@ bool RestartCount::Began(absl::string_view incarnation, int64_t now_ns) {
   if (last_ == incarnation) return false;
   const bool first = last_.empty();
   last_ = std::string(incarnation);
-  if (first) return false;
+  if (first || now_ns < std::exchange(expected_until_ns_, 0)) return false;
   while (!restarts_ns_.empty() && now_ns - restarts_ns_.front() >= kWithinNs) {
     restarts_ns_.pop_front();
   }

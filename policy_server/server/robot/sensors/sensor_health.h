@@ -51,9 +51,12 @@ class RestartCount {
   // A session of `incarnation` begins. True if that is one restart too many; then counting begins
   // anew. An incarnation that was seen last is no restart.
   bool Began(absl::string_view incarnation, int64_t now_ns);
+  // One restart until then is ours: it follows other settings.
+  void Expect(int64_t until_ns) { expected_until_ns_ = until_ns; }
 
  private:
   std::string last_;
+  int64_t expected_until_ns_ = 0;
   std::deque<int64_t> restarts_ns_;
 };
 

@@ -107,6 +107,20 @@ TEST(RestartCountTest, TheThirdRestartWithinTenMinutesIsTooMany) {
   EXPECT_TRUE(count.Began("g", 7));
 }
 
+TEST(RestartCountTest, OneRestartIsExpectedAfterOtherSettings) {
+  RestartCount count;
+  count.Began("a", 1);
+  count.Expect(100);
+  EXPECT_FALSE(count.Began("b", 2)) << "expected";
+  EXPECT_FALSE(count.Began("c", 3));
+  EXPECT_FALSE(count.Began("d", 4));
+  EXPECT_TRUE(count.Began("e", 5)) << "the third that was not";
+  count.Expect(100);
+  EXPECT_FALSE(count.Began("f", 100)) << "too late, the first";
+  EXPECT_FALSE(count.Began("g", 101));
+  EXPECT_TRUE(count.Began("h", 102));
+}
+
 TEST(RestartCountTest, OldRestartsDoNotCount) {
   RestartCount count;
   count.Began("a", 0);

@@ -10,6 +10,9 @@
 namespace rips::pipeline {
 namespace {
 
+// A sensor that gets other settings begins anew, a minute after it last did so.
+constexpr int64_t kSettingsFollowedNs = 75 * kNanosPerSecond;
+
 std::string Named(const SensorHost& host) { return absl::StrCat("sensor ", host.name); }
 
 Lane LaneOf(const store::LaneKey& key) {
@@ -279,6 +282,9 @@ void SensorSide::CloseAll(const absl::Status& why) {
 void SensorSide::SetHosts(const RobotConfig& next) {
   const RobotConfig& config = context_.config;
   const auto kept_topics = context_.watch.kept_topics(context_.policy);
+  if (next.sensor_settings != config.sensor_settings) {
+    for (auto& [name, host] : hosts_) host.restarts.Expect(context_.now_ns() + kSettingsFollowedNs);
+  }
   for (auto it = hosts_.begin(); it != hosts_.end();) {
     auto& [name, host] = *it;
     const bool listed = std::find(next.sensor_hosts.begin(), next.sensor_hosts.end(), name) !=
