@@ -120,7 +120,7 @@ TEST(SensorConfigTest, WhatItDoesNotLetTheServerSetIsRefusedAndSaysSo) {
                                     {{path, value, "policy server, robots.yaml:4"}});
     ASSERT_THAT(config, IsOk());
     ASSERT_THAT(config->refused, testing::SizeIs(1)) << path;
-    EXPECT_THAT(config->refused[0], HasSubstr(absl::StrCat("`", path, ": ", value, "`")));
+    EXPECT_THAT(config->refused[0], HasSubstr(absl::StrCat("`", path)));
     config->refused.clear();
     EXPECT_EQ(*config, *own) << path;
   }

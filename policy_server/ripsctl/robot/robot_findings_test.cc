@@ -49,6 +49,9 @@ TEST_F(RobotFindingsTest, ShowHasALineOfThem) {
   EXPECT_THAT(show(0, true), HasSubstr("not known; see `ripsctl explain r1`\n"));
   EXPECT_THAT(show(2, false), HasSubstr("2 stand; see `ripsctl robot coverage r1`\n"));
   EXPECT_THAT(show(2, true), HasSubstr("2 stood as reported last; see `ripsctl robot"));
+  const nlohmann::json json = RunJson({"robot", "show", "r1"});
+  EXPECT_EQ(json["findings"], 2);
+  EXPECT_EQ(json["findings_not_known"], true);
 }
 
 TEST_F(RobotFindingsTest, ListNamesAFewOfMany) {
