@@ -369,6 +369,7 @@ void FleetRobot::OnSensorGone(const grpc::Status& status) {
 void FleetRobot::OnActuatorGone(const grpc::Status& status) {
   MutexLock lock(&mu_);
   actuator_ = nullptr;
+  probe_at_ns_ = 0;  // its command may have gone with the stream
   counts_.error = status.error_message();
   gone_.NotifyAll();
 }
