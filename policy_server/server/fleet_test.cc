@@ -29,10 +29,12 @@ namespace {
 
 using pipeline::Lane;
 using pipeline::Robot;
+using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::SizeIs;
 
 constexpr absl::Duration kLong = absl::Seconds(60);
@@ -267,6 +269,23 @@ TEST_F(FleetTest, AnInventoryThatIsRefusedLeavesTheOldOneInForce) {
   Stop();
   EXPECT_THAT(store_.ListAlerts(std::string(store::kServerRobot), 100)->front().text,
               HasSubstr("the inventory is refused, the old one stays in force"));
+}
+
+TEST_F(FleetTest, OtherSettingsOfSensorsAreOneAlertWhateverTheNumberOfRobots) {
+  std::vector<std::pair<std::string, std::string>> robots;
+  for (int i = 10; i < 32; ++i) robots.emplace_back(absl::StrCat("r", i), "good");
+  List(robots);
+  ASSERT_THAT(Start(), IsOk());
+  std::ofstream(options_.inventory, std::ios::app) << "sensor_settings: [{set: {settle: 3s}}]\n";
+  fleet_->Reload();
+  fleet_->Reload();  // nothing changes
+  Stop();
+  const auto alerts = store_.ListAlerts(std::string(store::kServerRobot), 100);
+  ASSERT_EQ(alerts->size(), 1u);
+  EXPECT_THAT(alerts->front().text,
+              AllOf(HasSubstr("sets other settings for sensors of 22 robots: r10, r11, "),
+                    HasSubstr("r29, ...; those"), Not(HasSubstr("r30"))));
+  EXPECT_EQ(alerts->front().severity, "info");
 }
 
 TEST_F(FleetTest, ADirectoryIsTakenAsAWholeOrTheOldInventoryStays) {

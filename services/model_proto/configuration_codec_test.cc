@@ -51,6 +51,25 @@ TEST(ConfigurationCodecTest, IsBoundedInNumberInBytesAndEachText) {
   EXPECT_NE(out.settings(out.settings_size() - 1).path(), "small") << "no gaps in what stands";
 }
 
+TEST(ConfigurationCodecTest, WhatIsRefusedIsBoundedToo) {
+  const std::vector<std::string> many(kRefusedMax + 5, "x");
+  EXPECT_THAT(Encode({}, many).refused(), SizeIs(kRefusedMax));
+  const std::vector<std::string> large(kRefusedMax, std::string(5'000, 'x'));
+  const rips::v1::Configuration out = Encode({{"settle", "2s", ""}}, large);
+  EXPECT_THAT(out.refused(), SizeIs(kConfigurationBytesMax / kSettingTextBytesMax));
+  EXPECT_THAT(out.refused(0), SizeIs(kSettingTextBytesMax));
+  EXPECT_EQ(out.left_out(), 1u) << "no room is left for a setting";
+
+  rips::v1::Configuration hostile;
+  for (size_t i = 0; i < kRefusedMax; ++i) hostile.add_refused(std::string(5'000, 'x'));
+  EXPECT_LE(Bounded(hostile).ByteSizeLong(), 2 * kConfigurationBytesMax);
+}
+
+TEST(ConfigurationCodecTest, ComesBackAsItWas) {
+  const Settings settings = {{"settle", "2s", "robots.yaml:4"}, {"unwatched", "[\"/a\"]", ""}};
+  EXPECT_EQ(Decode(Encode(settings)), settings);
+}
+
 TEST(ConfigurationCodecTest, BytesThatAreNotUtf8AreEscaped) {
   const rips::v1::Configuration out = Encode(Settings{{"scripts", "\"/caf\xe9\"", "/caf\xe9:3"}});
   EXPECT_EQ(out.settings(0).value(), "\"/caf\\xe9\"");

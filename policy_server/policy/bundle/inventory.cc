@@ -11,6 +11,7 @@
 #include "absl/strings/strip.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
+#include "services/model_proto/configuration_codec.h"
 #include "services/runtime/config_reader.h"
 #include "services/runtime/config_sections.h"
 #include "services/sensor_settings/sensor_settings.h"
@@ -19,9 +20,8 @@
 namespace rips::bundle {
 namespace {
 
-// As the wire takes them: of one value, and of what the sensors of a robot are sent.
-constexpr size_t kSettingBytesMax = 1'024;
-constexpr size_t kSensorSettingsBytesMax = 12 * 1'024;
+// What the sensors of a robot are sent, which they hold with a few bytes more for each.
+constexpr size_t kSensorSettingsBytesMax = model_proto::kConfigurationBytesMax / 4 * 3;
 
 void CheckCount(const ConfigSection& section, absl::string_view key, size_t count, size_t max) {
   if (count <= max) return;
@@ -142,10 +142,10 @@ absl::Status AddLabelSettings(const std::vector<ConfigSetting>& settings,
     if (!split.has_value() || each.source.empty()) continue;
     absl::string_view path = split->second;
     if (!absl::ConsumePrefix(&path, "set.")) continue;
-    if (each.value.size() > kSettingBytesMax) {
+    if (each.value.size() > model_proto::kSettingTextBytesMax) {
       return absl::InvalidArgumentError(absl::StrCat(each.source, ": `", path, "` has ",
                                                      each.value.size(), " bytes; at most ",
-                                                     kSettingBytesMax));
+                                                     model_proto::kSettingTextBytesMax));
     }
     all[split->first].settings.push_back(
         {.path = std::string(path), .value = each.value, .source = each.source});

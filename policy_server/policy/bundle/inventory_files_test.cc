@@ -280,6 +280,13 @@ TEST_F(BundlesByLabelTest, EntriesAreCheckedAndBounded) {
   Write("b.yaml", "bundles: [{bundle: b}]\n");
   EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument,
                                             HasSubstr("257 `bundles` exceed limit 256")));
+
+  entries.clear();
+  for (size_t i = 0; i < kLabelEntriesMax; ++i) absl::StrAppend(&entries, "{set: {settle: 3s}},");
+  Write("a.yaml", absl::StrCat("sensor_settings: [", entries, "]\n"));
+  Write("b.yaml", "sensor_settings: [{set: {settle: 3s}}]\n");
+  EXPECT_THAT(ReadInventory(dir_), StatusIs(absl::StatusCode::kInvalidArgument,
+                                            HasSubstr("257 `sensor_settings` exceed limit 256")));
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
+#include "services/model/heartbeat.h"
 #include "services/runtime/config_reader.h"
 
 namespace rips::server {
@@ -46,7 +47,8 @@ void ReadTiming(const ConfigSection& root, Timing* timing) {
                         absl::Duration max) {
     section.Optional(key, value, {min, max});
   };
-  read("heartbeat", &timing->heartbeat, absl::Milliseconds(50), absl::Seconds(10));
+  read("heartbeat", &timing->heartbeat, absl::Nanoseconds(model::kHeartbeatNsMin),
+       absl::Nanoseconds(model::kHeartbeatNsMax));
   read("stale", &timing->stale, absl::Milliseconds(100), absl::Minutes(1));
   read("lost", &timing->lost, absl::Milliseconds(200), absl::Minutes(5));
   read("lease", &timing->lease, absl::Milliseconds(500), absl::Minutes(10));
