@@ -69,6 +69,7 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> Connect(const std::string& server
   options.set_certificate_verifier(std::make_shared<grpc::experimental::NoOpCertificateVerifier>());
   grpc::ChannelArguments arguments;
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  arguments.SetInt(GRPC_ARG_HTTP2_BDP_PROBE, 0);  // as agents
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 500);
   arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 5'000);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2'000);
@@ -236,6 +237,7 @@ int Main(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : 2;
   }
   rpc::RequireTls13();
+  rpc::TrustGrpcLockOrder();
   BlockSignals();
   Fleet fleet;
   SignalWaiter signals({{SIGUSR1, [&fleet] { fleet.ClearLatencies(); }}});

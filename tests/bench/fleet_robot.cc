@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <utility>
 
 #include "absl/random/random.h"
@@ -44,13 +45,15 @@ std::string RandomBytes() {
   return bytes;
 }
 
-// Anew each time, so that robots do not come back at once.
-int64_t Backoff() {
+int64_t RandomBetween(int64_t least, int64_t most) {
   static Mutex mu;
   static absl::BitGen random;
   MutexLock lock(&mu);
-  return absl::Uniform<int64_t>(random, kSecondNs / 5, 2 * kSecondNs);
+  return absl::Uniform<int64_t>(random, least, most);
 }
+
+// Anew each time, so that robots do not come back at once.
+int64_t Backoff() { return RandomBetween(kSecondNs / 5, 2 * kSecondNs); }
 
 v1::Clock ClockNow() {
   const Instant now = RealClock().Now();
@@ -110,7 +113,34 @@ v1::GraphSnapshot GraphOf(const std::string& incarnation, uint64_t version, int 
   return graph;
 }
 
-void AddNames(const std::string& incarnation, v1::ObservationBatch& batch) {
+grpc::Slice BytesOf(const v1::SensorMessage& message) {
+  return grpc::Slice(message.SerializeAsString());
+}
+
+// Parts of one message may follow each other: the reader of Protocol Buffers merges them. So what
+// all batches of a length share is made once.
+grpc::Slice ObservationsOf(int count, int topic) {
+  static Mutex mu;
+  static std::map<std::pair<int, int>, grpc::Slice> made;
+  MutexLock lock(&mu);
+  const auto [it, fresh] = made.try_emplace({count, topic});
+  if (!fresh) return it->second;
+  v1::SensorMessage message;
+  for (int i = 0; i < count; ++i) {
+    const int of = topic == 0 ? i % kTopics : topic;
+    v1::MessageSeen* seen = message.mutable_batch()->add_observations()->mutable_message();
+    seen->set_topic_id(static_cast<uint32_t>(of + 1));
+    seen->set_type_id(kTypeId);
+    seen->set_writer_id(static_cast<uint32_t>(kFirstWriterId + of));
+    seen->set_size_bytes(64);
+  }
+  it->second = BytesOf(message);
+  return it->second;
+}
+
+grpc::Slice NamesOf(const std::string& incarnation) {
+  v1::SensorMessage message;
+  v1::ObservationBatch& batch = *message.mutable_batch();
   for (int topic = 0; topic < kAllTopics; ++topic) {
     v1::Intern* name = batch.add_interned();
     name->set_id(static_cast<uint32_t>(topic + 1));
@@ -124,6 +154,7 @@ void AddNames(const std::string& incarnation, v1::ObservationBatch& batch) {
     writer->set_id(static_cast<uint32_t>(kFirstWriterId + topic));
     *writer->mutable_writer() = EndpointOf(incarnation, topic, TopicName(topic));
   }
+  return BytesOf(message);
 }
 
 // A stream whose messages wait for each other. Under the robot's lock but for the On functions.
@@ -195,9 +226,13 @@ void Latencies::Clear() {
 
 // -------------------------------------------------------------------------------------- streams
 
-class FleetRobot::SensorStream final : public Stream<v1::SensorMessage, v1::SensorReply> {
+class FleetRobot::SensorStream final : public Stream<grpc::ByteBuffer, v1::SensorReply> {
  public:
   explicit SensorStream(FleetRobot* robot) : robot_(*robot) {}
+  void Say(const v1::SensorMessage& message) {
+    const grpc::Slice bytes = BytesOf(message);
+    Send(grpc::ByteBuffer(&bytes, 1));
+  }
   void OnReadDone(bool ok) override {
     if (ok) {
       robot_.OnReply(reply_);
@@ -249,7 +284,7 @@ class FleetRobot::ActuatorStream final : public Stream<v1::ActuatorMessage, v1::
 FleetRobot::FleetRobot(RobotPlan plan, std::shared_ptr<grpc::Channel> sensor,
                        std::shared_ptr<grpc::Channel> actuator, FleetLatencies* latencies)
     : plan_(std::move(plan)),
-      sensor_stub_(v1::SensorService::NewStub(std::move(sensor))),
+      sensor_stub_(std::move(sensor)),
       actuator_stub_(v1::ActuatorService::NewStub(std::move(actuator))),
       latencies_(*latencies),
       incarnation_(RandomBytes()) {}
@@ -287,6 +322,9 @@ void FleetRobot::Step(int64_t now_ns) {
   const int64_t passed_ns = stepped_ns_ == 0 ? kStepNs : now_ns - stepped_ns_;
   stepped_ns_ = now_ns;
   if (graph_version_ > 0 && !quiet_) {
+    // Robots are not in step with each other, though they connected together.
+    if (batch_due_ns_ == 0) batch_due_ns_ = now_ns + RandomBetween(0, linger_ns_ + 1);
+    if (second_due_ns_ == 0) second_due_ns_ = now_ns + RandomBetween(0, kSecondNs);
     owed_ += plan_.rate * static_cast<double>(passed_ns) / 1e9;
     for (; owed_ >= kBatchMax; owed_ -= kBatchMax) MakeMessages(kBatchMax, 0, now_ns);
     if (now_ns >= batch_due_ns_) {
@@ -319,14 +357,14 @@ void FleetRobot::ConnectSensor(int64_t now_ns) {
   acks_due_ = 2;
   ++counts_.connects;
   sensor_ = new SensorStream(this);  // deletes itself
-  sensor_stub_->async()->Observe(sensor_->context(), sensor_);
+  sensor_stub_.PrepareBidiStreamingCall(sensor_->context(), "/rips.v1.SensorService/Observe", {},
+                                        sensor_);
   v1::SensorMessage message;
   v1::SensorHello* hello = message.mutable_hello();
   *hello->mutable_hello() = HelloOf(incarnation_);
   const auto add = [&](v1::Lane lane, const std::deque<Sent>& unacknowledged, uint64_t next) {
     v1::SpoolStream* stream = hello->add_spooled();
-    const uint64_t first =
-        unacknowledged.empty() ? next : unacknowledged.front().batch.first_sequence();
+    const uint64_t first = unacknowledged.empty() ? next : unacknowledged.front().first;
     stream->set_incarnation(incarnation_);
     stream->set_lane(lane);
     stream->set_first_sequence(first);
@@ -336,7 +374,7 @@ void FleetRobot::ConnectSensor(int64_t now_ns) {
   add(v1::CONTROL, control_, next_control_);
   add(v1::MESSAGES, messages_, next_message_);
   sensor_->Begin();
-  sensor_->Send(std::move(message));
+  sensor_->Say(message);
 }
 
 void FleetRobot::ConnectActuator(int64_t now_ns) {
@@ -389,7 +427,7 @@ void FleetRobot::OnReply(const v1::SensorReply& reply) {
   } else if (reply.has_interest()) {
     v1::SensorMessage message;
     message.mutable_interest_applied()->set_interest(reply.interest().id());
-    if (!sensor_->abandoned()) sensor_->Send(std::move(message));
+    if (!sensor_->abandoned()) sensor_->Say(message);
   } else if (reply.has_ack()) {
     acks_due_ = std::max(0, acks_due_ - 1);
     TakeAck(reply.ack());
@@ -457,57 +495,55 @@ void FleetRobot::TakeCommand(const v1::Command& command) {
 
 void FleetRobot::MakeMessages(int count, int topic, int64_t now_ns) {
   if (count == 0) return;
-  Sent sent{.batch = {}, .at_ns = now_ns};
-  v1::ObservationBatch& batch = sent.batch;
+  v1::SensorMessage message;
+  v1::ObservationBatch& batch = *message.mutable_batch();
   batch.set_incarnation(incarnation_);
   batch.set_first_sequence(next_message_);
   batch.set_lane(v1::MESSAGES);
   batch.set_base_boottime_ns(static_cast<uint64_t>(now_ns));
   batch.set_graph_version(graph_version_);
-  for (int i = 0; i < count; ++i) {
-    const int of = topic == 0 ? i % kTopics : topic;
-    v1::MessageSeen* message = batch.add_observations()->mutable_message();
-    message->set_topic_id(static_cast<uint32_t>(of + 1));
-    message->set_type_id(kTypeId);
-    message->set_writer_id(static_cast<uint32_t>(kFirstWriterId + of));
-    message->set_size_bytes(64);
-  }
+  const uint64_t first = next_message_;
   next_message_ += static_cast<uint64_t>(count);
-  sent.last = next_message_ - 1;
-  messages_.push_back(std::move(sent));
+  messages_.push_back({.bytes = {BytesOf(message), ObservationsOf(count, topic)},
+                       .at_ns = now_ns,
+                       .first = first,
+                       .last = next_message_ - 1});
 }
 
 void FleetRobot::MakeGraph(int64_t now_ns) {
-  Sent sent{.batch = {}, .at_ns = now_ns, .last = next_control_};
-  v1::ObservationBatch& batch = sent.batch;
+  v1::SensorMessage message;
+  v1::ObservationBatch& batch = *message.mutable_batch();
   batch.set_incarnation(incarnation_);
-  batch.set_first_sequence(next_control_++);
+  batch.set_first_sequence(next_control_);
   batch.set_lane(v1::CONTROL);
   batch.set_base_boottime_ns(static_cast<uint64_t>(now_ns));
   *batch.add_observations()->mutable_snapshot() =
       GraphOf(incarnation_, ++graph_version_, plan_.nodes);
-  control_.push_back(std::move(sent));
+  control_.push_back({.bytes = {BytesOf(message)},
+                      .at_ns = now_ns,
+                      .first = next_control_,
+                      .last = next_control_});
+  ++next_control_;
 }
 
 void FleetRobot::SendWaiting() {
   if (sensor_ == nullptr || sensor_->abandoned() || !configured_ || acks_due_ > 0) return;
-  const auto send = [&](v1::ObservationBatch batch) {
-    v1::SensorMessage message;
-    *message.mutable_batch() = std::move(batch);
-    sensor_->Send(std::move(message));
+  const auto send = [&](const std::vector<grpc::Slice>& bytes) {
+    sensor_->Send(grpc::ByteBuffer(bytes.data(), bytes.size()));
   };
   for (; sent_control_ < control_.size() && sensor_->waiting() < 4; ++sent_control_) {
-    send(control_[sent_control_].batch);
+    send(control_[sent_control_].bytes);
   }
   if (sent_control_ < control_.size()) return;
   for (; sent_batches_ < messages_.size() && sensor_->waiting() < 4; ++sent_batches_) {
-    v1::ObservationBatch batch = messages_[sent_batches_].batch;
-    if (!named_) AddNames(incarnation_, batch);
-    const uint64_t bytes = batch.ByteSizeLong();
+    std::vector<grpc::Slice> parts = messages_[sent_batches_].bytes;
+    if (!named_) parts.insert(parts.begin(), NamesOf(incarnation_));
+    uint64_t bytes = 0;  // the server counts a few less of each part
+    for (const grpc::Slice& part : parts) bytes += part.size();
     if (used_bytes_ + bytes > credit_bytes_) return;
     named_ = true;
     used_bytes_ += bytes;
-    send(std::move(batch));
+    send(parts);
   }
 }
 
@@ -518,7 +554,7 @@ void FleetRobot::Heartbeats(int64_t now_ns) {
     v1::SensorMessage message;
     *message.mutable_heartbeat()->mutable_clock() = ClockNow();
     message.mutable_heartbeat()->set_echo_boottime_ns(server_boottime_ns_);
-    sensor_->Send(std::move(message));
+    sensor_->Say(message);
   }
   const bool actuator_due = now_ns >= actuator_heartbeat_ns_ + actuator_interval_ns_;
   if (actuator_due && actuator_ != nullptr && !actuator_->abandoned()) {

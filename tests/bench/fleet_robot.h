@@ -9,9 +9,13 @@
 #include <deque>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "grpcpp/channel.h"
+#include "grpcpp/generic/generic_stub.h"
+#include "grpcpp/support/byte_buffer.h"
+#include "grpcpp/support/slice.h"
 #include "rips/v1/actuator.grpc.pb.h"
 #include "rips/v1/sensor.grpc.pb.h"
 #include "services/model/heartbeat.h"
@@ -67,6 +71,9 @@ struct RobotCounts {
   std::string error;
 };
 
+// Sends bytes: a batch is made and copied for the server, not for the load.
+using SensorStub = grpc::TemplatedGenericStub<grpc::ByteBuffer, v1::SensorReply>;
+
 // Call Step from one thread; the rest happens on those of gRPC.
 class FleetRobot {
  public:
@@ -79,8 +86,8 @@ class FleetRobot {
   ~FleetRobot();
 
   // Connects what is not, and sends what is due. Call it every kStepNs, later the more at once.
-  // Messages wait as long as the server lets a sensor collect them, those on /probe and /raise too;
-  // heartbeats go as often as the server says.
+  // Messages wait as long as the server lets a sensor collect them, but those on /probe and /raise
+  // go at once; heartbeats go as often as the server says.
   void Step(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   // No further messages are made.
   void Quiet() ABSL_LOCKS_EXCLUDED(mu_);
@@ -90,9 +97,11 @@ class FleetRobot {
   static constexpr int64_t kStepNs = 100'000'000;
 
  private:
+  // A batch as it goes over the wire.
   struct Sent {
-    v1::ObservationBatch batch;
+    std::vector<grpc::Slice> bytes;
     int64_t at_ns = 0;
+    uint64_t first = 0;
     uint64_t last = 0;
   };
 
@@ -114,7 +123,7 @@ class FleetRobot {
   void Heartbeats(int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const RobotPlan plan_;
-  const std::unique_ptr<v1::SensorService::Stub> sensor_stub_;
+  SensorStub sensor_stub_;
   const std::unique_ptr<v1::ActuatorService::Stub> actuator_stub_;
   FleetLatencies& latencies_;
   const std::string incarnation_;
