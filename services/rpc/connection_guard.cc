@@ -1,7 +1,6 @@
 #include "services/rpc/connection_guard.h"
 
 #include <fcntl.h>
-#include <linux/tcp.h>
 #include <malloc.h>
 #include <netdb.h>
 #include <netinet/in.h>
@@ -24,9 +23,6 @@
 namespace rips::rpc {
 namespace {
 
-// Of tcp_info (net/tcp_states.h of the kernel).
-constexpr uint8_t kEstablished = 1;
-constexpr uint8_t kCloseWait = 8;
 constexpr int kBacklog = 1'024;
 // What a listener without descriptors waits before it looks again.
 constexpr absl::Duration kOutOfDescriptors = absl::Milliseconds(50);
@@ -37,12 +33,13 @@ constexpr size_t kAgentCallsMax = 4'096;
 constexpr size_t kBannedMax = 4'096;
 // Calls that cannot be decoded have an account of their own beside those of an agent.
 constexpr char kUndecodable[] = " undecodable";
-// No ClientHello is shorter.
-constexpr uint64_t kClientHelloBytes = 64;
 // Ended to make room though gRPC had them, which closes its descriptors a moment later.
 constexpr int kRoomPerLook = 128;
 // At most, of many.
 constexpr size_t kRoomAtOnce = 16;
+// After so many looks also a connection at rest is looked at: a peer that floods and does not read
+// may go untold (SocketActivity).
+constexpr int64_t kRestLooks = 4;
 constexpr char kEndedHelp[] = "Connections ended by the guard, by why.";
 
 absl::Status Failed(absl::string_view what) {
@@ -121,80 +118,6 @@ bool HasLeft(const UniqueFd& socket) {
 }
 
 }  // namespace
-
-// ---------------------------------------------------------------------------------- connection
-
-void Connection::OnMessage(size_t bytes) {
-  MutexLock lock(&mu_);
-  budget_.OnMessage(bytes);
-}
-
-void Connection::Exceed(Excess why) {
-  MutexLock lock(&mu_);
-  budget_.Exceed(why);
-}
-
-void Connection::Identify(const std::string& certificate, bool agent) {
-  MutexLock lock(&mu_);
-  budget_.OnIdentified(agent);
-  if (certificate_.empty()) certificate_ = certificate;
-}
-
-absl::StatusOr<Peer> Connection::ReadPeer(const grpc::AuthContext& auth) {
-  MutexLock lock(&mu_);
-  if (!peer_.has_value()) {
-    RIPS_ASSIGN_OR_RETURN(peer_, PeerOf(auth));
-  }
-  return *peer_;
-}
-
-void Connection::OnThrottled() {
-  if (told_.exchange(true)) End();
-}
-
-std::string Connection::certificate() const {
-  MutexLock lock(&mu_);
-  return certificate_;
-}
-
-std::string Connection::shown() const {
-  MutexLock lock(&mu_);
-  return certificate_.empty() && peer_.has_value() ? Describe(*peer_) : certificate_;
-}
-
-Excess Connection::OnCall(int64_t now_ns) {
-  MutexLock lock(&mu_);
-  return budget_.OnCall(now_ns);
-}
-
-Connection::State Connection::Check(int64_t now_ns, Excess& excess) {
-  MutexLock lock(&mu_);
-  // Also if the peer has left at once: its certificate is banned all the same.
-  if (!ended_ && budget_.exceeded() != Excess::kNone) {
-    excess = budget_.exceeded();
-    return State::kOpen;
-  }
-  tcp_info info = {};
-  socklen_t size = sizeof(info);
-  if (getsockopt(socket_.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return State::kOver;
-  spoke_ = info.tcpi_bytes_received >= kClientHelloBytes;
-  if (info.tcpi_state != kEstablished && info.tcpi_state != kCloseWait) return State::kOver;
-  if (ended_) return State::kEnded;
-  excess = budget_.Check(info.tcpi_bytes_received, now_ns);
-  return State::kOpen;
-}
-
-bool Connection::EndedByPeer() const {
-  MutexLock lock(&mu_);
-  return !ended_;
-}
-
-bool Connection::End() {
-  MutexLock lock(&mu_);
-  if (std::exchange(ended_, true)) return false;
-  shutdown(socket_.get(), SHUT_RDWR);
-  return true;
-}
 
 // --------------------------------------------------------------------------------------- guard
 
@@ -423,8 +346,9 @@ void ConnectionGuard::Admit(UniqueFd socket, Source source) {
       ForgetLocked(*old->second);
       connections_.erase(old);
     }
-    auto connection =
-        std::make_shared<Connection>(source, std::move(duplicate), options_.budget, now_ns);
+    const bool watched = activity_.Add(duplicate.get());
+    auto connection = std::make_shared<Connection>(source, std::move(duplicate), watched,
+                                                   options_.budget, now_ns);
     connections_[source.peer] = connection;
     open_.Set(static_cast<double>(connections_.size()));
     if (!admission_.Known(source, now_ns)) {
@@ -577,6 +501,7 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
 }
 
 void ConnectionGuard::ForgetLocked(const Connection& connection) {
+  activity_.Remove(connection.socket_.get());
   admission_.Left(connection.source());
   const auto it = certificates_.find(connection.certificate());
   if (it != certificates_.end() && --it->second == 0) certificates_.erase(it);
@@ -649,9 +574,12 @@ void ConnectionGuard::CheckConnections() {
       it = it->second <= now_ns ? banned_.erase(it) : std::next(it);
     }
   }
+  const absl::flat_hash_set<int> active = activity_.Look();
+  const int64_t rest_ns = kRestLooks * absl::ToInt64Nanoseconds(options_.interval);
   for (const std::shared_ptr<Connection>& connection : live) {
     Excess excess = Excess::kNone;
-    const Connection::State state = connection->Check(now_ns, excess);
+    const bool stirred = active.contains(connection->socket_.get());
+    const Connection::State state = connection->Check(now_ns, stirred, rest_ns, excess);
     if (state == Connection::State::kOver) {
       {
         MutexLock lock(&mu_);

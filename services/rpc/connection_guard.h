@@ -24,7 +24,6 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -39,10 +38,11 @@
 #include "grpcpp/server_builder.h"
 #include "grpcpp/server_context.h"
 #include "services/base/clock.h"
+#include "services/rpc/connection.h"
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
 #include "services/rpc/handshake_queue.h"
-#include "services/rpc/peer.h"
+#include "services/rpc/socket_activity.h"
 #include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -50,58 +50,6 @@
 #include "services/runtime/wake_fd.h"
 
 namespace rips::rpc {
-
-// One connection that gRPC was given. Any thread.
-class Connection {
- public:
-  Connection(Source source, UniqueFd socket, const BudgetLimits& limits, int64_t now_ns)
-      : source_(std::move(source)),
-        taken_ns_(now_ns),
-        socket_(std::move(socket)),
-        budget_(limits, now_ns) {}
-
-  // A handler has received a message of so many bytes.
-  void OnMessage(size_t bytes) ABSL_LOCKS_EXCLUDED(mu_);
-  // A handler has refused a message, which none of ours sends: the connection is ended soon, and
-  // its certificate banned.
-  void OnRefused() ABSL_LOCKS_EXCLUDED(mu_) { Exceed(Excess::kRefused); }
-  // The peer's certificate: `spiffe://td/robot/r1/sensor/base serial 0f3a`. The first one counts.
-  void Identify(const std::string& certificate, bool agent) ABSL_LOCKS_EXCLUDED(mu_);
-  const Source& source() const { return source_; }
-  // PeerOf, once: on a connection the certificate stays, and reading it is dear.
-  absl::StatusOr<Peer> ReadPeer(const grpc::AuthContext& auth) ABSL_LOCKS_EXCLUDED(mu_);
-  // A call was refused for what its certificate did. From the second time on it is ended: it was
-  // told why, and each answer costs others.
-  void OnThrottled() ABSL_LOCKS_EXCLUDED(mu_);
-
- private:
-  friend class ConnectionGuard;
-  enum class State { kOpen, kOver, kEnded };
-
-  Excess OnCall(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
-  void Exceed(Excess why) ABSL_LOCKS_EXCLUDED(mu_);
-  // What the kernel says of the socket.
-  State Check(int64_t now_ns, Excess& excess) ABSL_LOCKS_EXCLUDED(mu_);
-  bool EndedByPeer() const ABSL_LOCKS_EXCLUDED(mu_);
-  bool End() ABSL_LOCKS_EXCLUDED(mu_);
-  // The one it was admitted with; empty = none.
-  std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
-  // That, or the one that ReadPeer has read, admitted or not.
-  std::string shown() const ABSL_LOCKS_EXCLUDED(mu_);
-
-  const Source source_;
-  const int64_t taken_ns_;
-  const UniqueFd socket_;
-  // OnThrottled has been called.
-  std::atomic<bool> told_ = false;
-  // It has sent enough to be a peer of ours.
-  std::atomic<bool> spoke_ = false;
-  mutable Mutex mu_;
-  ConnectionBudget budget_ ABSL_GUARDED_BY(mu_);
-  std::string certificate_ ABSL_GUARDED_BY(mu_);
-  std::optional<Peer> peer_ ABSL_GUARDED_BY(mu_);
-  bool ended_ ABSL_GUARDED_BY(mu_) = false;
-};
 
 class ConnectionGuard {
  public:
@@ -124,7 +72,7 @@ class ConnectionGuard {
     // Calls of one agent's certificate, on all its connections: each begins a stream.
     double agent_calls_burst = 40;
     double agent_calls_per_second = 2;
-    // Between two looks at the connections.
+    // Between two looks at the connections, of which those at rest are looked at every fourth time.
     absl::Duration interval = absl::Milliseconds(50);
     // On a thread of the guard or of a call; must not block. May be empty.
     std::function<void(const Report&)> on_ended;
@@ -222,6 +170,8 @@ class ConnectionGuard {
   CondVar stop_cond_;
   bool stopping_ ABSL_GUARDED_BY(mu_) = false;
   Admission admission_ ABSL_GUARDED_BY(mu_);
+  // Of those below.
+  SocketActivity activity_;
   // By peer.
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
   HandshakeQueue<Waiting> waiting_ ABSL_GUARDED_BY(mu_);
