@@ -4,6 +4,7 @@
 
 #include <memory>
 
+#include "google/protobuf/arena.h"
 #include "grpcpp/support/server_callback.h"
 #include "services/rpc/stream_outbound.h"
 
@@ -20,9 +21,10 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
 
  protected:
   ServerStream() : outbound_(std::make_shared<Outbound>(this)) {}
-  void Begin() { this->StartRead(&incoming_); }
+  void Begin() { this->StartRead(incoming_); }
 
-  // One message; may take its contents. Reactions of one stream's reads never overlap.
+  // One message, which lives until this returns; its texts may be taken. Reactions of one stream's
+  // reads never overlap.
   virtual void OnMessage(In& message) = 0;
   // The stream ends because a message of the peer could not be decoded, or because the peer
   // half-closed it, which no agent does. Before OnEnded.
@@ -31,9 +33,6 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
   virtual void OnEnded() = 0;
 
  private:
-  // A message object is reused, but not one that has grown large.
-  static constexpr size_t kReuseBytesMax = 1 << 20;
-
   void OnReadDone(bool ok) final {
     if (!ok) {
       unreadable_ = outbound_->open();
@@ -43,9 +42,10 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
     }
     // Its read was under way when the stream was ended.
     if (outbound_->ended()) return;
-    OnMessage(incoming_);
-    if (incoming_.SpaceUsedLong() > kReuseBytesMax) incoming_ = In();
-    this->StartRead(&incoming_);
+    OnMessage(*incoming_);
+    arena_.Reset();
+    incoming_ = google::protobuf::Arena::CreateMessage<In>(&arena_);
+    this->StartRead(incoming_);
   }
   void OnWriteDone(bool ok) final { outbound_->OnWritten(ok); }
   void OnCancel() final {
@@ -61,7 +61,9 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
   }
 
   std::shared_ptr<Outbound> outbound_;
-  In incoming_;
+  // Of one message. The parts of a batch are hundreds.
+  google::protobuf::Arena arena_;
+  In* incoming_ = google::protobuf::Arena::CreateMessage<In>(&arena_);
   // Each written by one callback and read by OnDone alone, which comes last.
   bool unreadable_ = false;
   bool cancelled_ = false;
