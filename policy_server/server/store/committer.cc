@@ -1,11 +1,43 @@
 #include "policy_server/server/store/committer.h"
 
+#include <algorithm>
+#include <chrono>
 #include <iterator>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
 
 namespace rips::store {
+namespace {
+
+// It says how far a robot is, and nothing else: only the outbox of a sensor waits for it.
+template <typename Item>
+bool IsPatient(const Item& item) {
+  const WriteBatch& batch = item.batch;
+  const Checkpoint& checkpoint = batch.checkpoint;
+  return item.done && !checkpoint.high_water.empty() && !checkpoint.bundle &&
+         !checkpoint.maintenance && batch.decisions.empty() && batch.refusals.empty() &&
+         batch.stages.empty() && batch.alerts.empty() && batch.receipts.empty() &&
+         batch.acks.empty();
+}
+
+// Empty = the end.
+template <typename Item>
+std::vector<Item> NextGroup(BoundedQueue<Item>& queue, const CommitterOptions& options) {
+  std::vector<Item> items = queue.PopAll(absl::InfiniteDuration(), options.group_max);
+  const auto until = std::chrono::steady_clock::now() + absl::ToChronoNanoseconds(options.gather);
+  bool patient = !items.empty() && std::all_of(items.begin(), items.end(), IsPatient<Item>);
+  while (patient && items.size() < options.group_max) {
+    const absl::Duration left = absl::FromChrono(until - std::chrono::steady_clock::now());
+    if (left <= absl::ZeroDuration()) break;
+    std::vector<Item> more = queue.PopAll(left, options.group_max - items.size());
+    patient = !more.empty() && std::all_of(more.begin(), more.end(), IsPatient<Item>);
+    std::move(more.begin(), more.end(), std::back_inserter(items));
+  }
+  return items;
+}
+
+}  // namespace
 
 Committer::Committer(Store* store, CommitterOptions options, const Clock* clock)
     : store_(store),
@@ -31,7 +63,7 @@ void Committer::Stop() {
 
 void Committer::Run() {
   while (true) {
-    std::vector<Item> items = queue_.PopAll(absl::InfiniteDuration(), options_.group_max);
+    std::vector<Item> items = NextGroup(queue_, options_);
     // Only a closed queue gives nothing after an endless wait.
     if (items.empty()) return;
     CommitFirst();

@@ -1,5 +1,6 @@
 // Makes what many threads write durable with as few disk flushes as can be: whatever was submitted
-// while the last transaction was flushed goes into the next one.
+// while the last transaction was flushed goes into the next one, and what is in no hurry (how far
+// the observations of a robot are judged) waits a little for more of its kind.
 //
 // One thread of its own. Order: batches are applied, and their callbacks called, in the order of
 // Submit. A batch that the store refuses spoils no other of its group. Nothing is tried twice: the
@@ -20,6 +21,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/functional/any_invocable.h"
 #include "absl/status/status.h"
+#include "absl/time/time.h"
 #include "policy_server/server/store/store.h"
 #include "services/base/clock.h"
 #include "services/runtime/bounded_queue.h"
@@ -32,6 +34,8 @@ struct CommitterOptions {
   size_t waiting_max = 4'096;
   // Batches in one transaction; bounds how long the first of them waits for its callback.
   size_t group_max = 256;
+  // How long batches wait for others if nobody waits for one of them.
+  absl::Duration gather = absl::Milliseconds(20);
   // A transaction that takes longer is an outage: no call of a disk that hangs returns an error.
   int64_t hang_ns = 5 * kNanosPerSecond;
   // Of PutFirst; the oldest go first, and are counted.

@@ -98,6 +98,75 @@ TEST(CommitterTest, GroupsWhatQueuesDuringAFlushAndKeepsOrder) {
   EXPECT_EQ(store.Load("r1")->decision_id, (DecisionId{1, 20}));
 }
 
+// How far the observations of r1 are judged, and nothing else.
+WriteBatch Progress(uint64_t sequence) {
+  WriteBatch batch{.robot = "r1", .tenure = 1};
+  batch.checkpoint.high_water[{.host = "base", .incarnation = "00", .lane = {}}] = sequence;
+  return batch;
+}
+
+TEST(CommitterTest, WhatIsInNoHurryIsWrittenWithWhatIs) {
+  FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
+  Told told;
+  // Without the decision, the test would take an hour.
+  Committer committer(&store, {.gather = absl::Hours(1)});
+  ASSERT_THAT(committer.Submit(Progress(1), told.Next(1)), IsOk());
+  ASSERT_THAT(committer.Submit(Progress(2), told.Next(2)), IsOk());
+  ASSERT_THAT(committer.Submit(Decision(1), told.Next(3)), IsOk());
+  while (told.ids().size() < 3) std::this_thread::yield();
+
+  EXPECT_THAT(store.commit_sizes(), ElementsAre(3));
+  EXPECT_THAT(told.ids(), ElementsAre(1, 2, 3));
+  committer.Stop();
+}
+
+TEST(CommitterTest, WhatIsInNoHurryWaitsForItsTimeOnly) {
+  FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
+  Told told;
+  Committer committer(&store, {.gather = absl::Milliseconds(1)});
+  ASSERT_THAT(committer.Submit(Progress(1), told.Next(1)), IsOk());
+  while (told.ids().empty()) std::this_thread::yield();
+  EXPECT_THAT(store.commit_sizes(), ElementsAre(1));
+}
+
+TEST(CommitterTest, TheEndWaitsForNothing) {
+  FakeStore store;
+  ASSERT_THAT(store.Acquire("r1"), IsOk());
+  Told told;
+  Committer committer(&store, {.gather = absl::Hours(1)});
+  ASSERT_THAT(committer.Submit(Progress(1), told.Next(1)), IsOk());
+  committer.Stop();
+  EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kOk));
+}
+
+TEST(CommitterTest, WhatSomebodyWaitsForIsInAHurry) {
+  const auto with = [](auto change) {
+    WriteBatch batch = Progress(1);
+    change(batch);
+    return batch;
+  };
+  const WriteBatch hurried[] = {
+      with([](WriteBatch& batch) { batch.refusals.emplace_back(); }),
+      with([](WriteBatch& batch) { batch.stages.emplace_back(); }),
+      with([](WriteBatch& batch) { batch.alerts.push_back(MakeAlert("r1", "a")); }),
+      with([](WriteBatch& batch) { batch.receipts.emplace_back(); }),
+      with([](WriteBatch& batch) { batch.acks.emplace_back(); }),
+      with([](WriteBatch& batch) { batch.checkpoint.bundle = "b"; }),
+      with([](WriteBatch& batch) { batch.checkpoint.maintenance.emplace(); }),
+      {.robot = "r1", .tenure = 1},
+  };
+  for (const WriteBatch& batch : hurried) {
+    FakeStore store;
+    ASSERT_THAT(store.Acquire("r1"), IsOk());
+    Told told;
+    Committer committer(&store, {.gather = absl::Hours(1)});
+    ASSERT_THAT(committer.Submit(batch, told.Next(1)), IsOk());
+    while (told.ids().empty()) std::this_thread::yield();
+  }
+}
+
 TEST(CommitterTest, AGroupHasALimit) {
   FakeStore store;
   ASSERT_THAT(store.Acquire("r1"), IsOk());

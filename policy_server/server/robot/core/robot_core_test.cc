@@ -18,12 +18,15 @@
 namespace rips::pipeline {
 namespace {
 
+using ::testing::AllOf;
+using ::testing::AnyOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::IsSupersetOf;
 using ::testing::Not;
+using ::testing::SizeIs;
 
 constexpr char kRules[] = R"(
 levels:
@@ -142,6 +145,16 @@ class RobotCoreTest : public ::testing::Test {
                           .batch = std::make_shared<const Batch>(std::move(batch))});
     return On(input::Advance{});
   }
+  // The first of them; no rule is about messages.
+  void SendMessages(size_t count) {
+    Batch batch{.incarnation = kIncarnation, .lane = Lane::kMessages, .first_sequence = 1};
+    batch.observations.resize(
+        count, {.boottime_ns = moment_.now.boottime_ns, .what = MessageSeen{.topic = "/a"}});
+    On(input::SensorBatch{.host = "base",
+                          .session = kSensor,
+                          .batch = std::make_shared<const Batch>(std::move(batch))});
+    On(input::Advance{});
+  }
   LevelOrder Lowering(const std::string& to) {
     const RobotStatus status = core_->At(moment_).Status();
     return {.operator_name = "ann",
@@ -168,6 +181,43 @@ TEST_F(RobotCoreTest, ARaiseIsCommandedBeforeItIsRecorded) {
 TEST_F(RobotCoreTest, ObservationsAreAcknowledgedWhenTheirEffectsAreDurable) {
   EXPECT_THAT(SendSignals({"SIGUSR2"}), Not(Contains("acknowledge 1")));
   EXPECT_THAT(Record(), Contains("acknowledge 1"));
+}
+
+TEST_F(RobotCoreTest, OnlyTheLaneThatAdvancedIsAcknowledgedAgain) {
+  SendSignals({"SIGUSR1", "SIGUSR1"});
+  EXPECT_THAT(Record(), Contains("acknowledge 2"));
+  SendMessages(3);
+  moment_.now.boottime_ns += 2 * kNanosPerSecond;  // a checkpoint is due
+  On(input::Time{});
+  ASSERT_NE(batch_, nullptr);
+  EXPECT_THAT(batch_->checkpoint.high_water, SizeIs(1)) << "nor is the other one written";
+  EXPECT_THAT(Record(), AllOf(Contains("acknowledge 3"), Not(Contains("acknowledge 2"))));
+}
+
+TEST_F(RobotCoreTest, WhatIsRecordedWithoutNewsIsAcknowledgedForItsCommit) {
+  SendSignals({"SIGUSR1"});
+  Record();
+  SendMessages(2);
+  moment_.now.boottime_ns += 2 * kNanosPerSecond;
+  On(input::Time{});
+  Record();
+  On(input::DeEscalate{.order = Lowering("DEFAULT"), .token = 7});
+  EXPECT_THAT(Record(), AnyOf(AllOf(Contains("acknowledge 1"), Not(Contains("acknowledge 2"))),
+                              AllOf(Contains("acknowledge 2"), Not(Contains("acknowledge 1")))))
+      << "one of the two";
+}
+
+TEST_F(RobotCoreTest, WhatWasNotRecordedIsWrittenAndAcknowledgedWithTheNext) {
+  SendSignals({"SIGUSR1"});
+  EXPECT_THAT(Record(absl::UnavailableError("disk")), Not(Contains("acknowledge 1")));
+  SendMessages(2);
+  std::vector<std::string> texts;
+  for (int i = 0; i < 3; ++i) {
+    moment_.now.boottime_ns += 2 * kNanosPerSecond;
+    On(input::Time{});
+    for (std::string& text : Record()) texts.push_back(std::move(text));
+  }
+  EXPECT_THAT(texts, IsSupersetOf({"acknowledge 1", "acknowledge 2"}));
 }
 
 TEST_F(RobotCoreTest, WhatCannotBeRecordedIsAcknowledgedNever) {

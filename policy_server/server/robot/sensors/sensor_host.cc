@@ -15,12 +15,18 @@ void SensorHost::BeginGraph(const ros2::GraphLimits& limits,
   settled = false;
 }
 
+bool SensorHost::IsJudged(const SpooledRange& range) const {
+  return sequences.Judged(range.incarnation, range.lane) >= range.last_sequence;
+}
+
 bool SensorHost::HasBacklog() const {
-  return session &&
-         std::any_of(session->spooled.begin(), session->spooled.end(),
-                     [this](const SpooledRange& range) {
-                       return sequences.Judged(range.incarnation, range.lane) < range.last_sequence;
-                     });
+  return session && !std::all_of(session->spooled.begin(), session->spooled.end(),
+                                 [this](const SpooledRange& range) { return IsJudged(range); });
+}
+
+void SensorHost::ForgetJudged() {
+  if (!session) return;
+  std::erase_if(session->spooled, [this](const SpooledRange& range) { return IsJudged(range); });
 }
 
 absl::Status SensorHost::ApplySnapshot(const std::string& incarnation,

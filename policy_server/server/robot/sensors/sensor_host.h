@@ -70,9 +70,14 @@ struct SensorHost {
                   std::shared_ptr<const ros2::TopicNames> kept_topics);
   // Observations that were announced in its hello are not judged yet.
   bool HasBacklog() const;
+  // HasBacklog is asked often, of a stream that lives for months: not of what is judged.
+  void ForgetJudged();
   // The graph as the sensor of `incarnation` tells it. InvalidArgument: it makes no sense.
   absl::Status ApplySnapshot(const std::string& incarnation, const GraphChange& snapshot);
   absl::Status ApplyDelta(const std::string& incarnation, const GraphChange& delta);
+
+ private:
+  bool IsJudged(const SpooledRange& range) const;
 };
 using SensorHosts = absl::btree_map<std::string, SensorHost>;
 

@@ -1,6 +1,8 @@
 #include "policy_server/server/robot/sensors/sensor_side.h"
 
 #include <algorithm>
+#include <map>
+#include <set>
 #include <utility>
 
 #include "absl/strings/escaping.h"
@@ -257,6 +259,7 @@ void SensorSide::RefuseGraph(SensorHost& host, const absl::Status& why) {
 
 void SensorSide::CheckLost() {
   for (auto& [name, host] : hosts_) {
+    host.ForgetJudged();
     if (host.session && context_.now_ns() - host.session->heard_ns > context_.timing.lost_ns) {
       const int64_t heard_ns = host.session->heard_ns;
       Close(host, absl::DeadlineExceededError("no heartbeat"));
@@ -320,18 +323,31 @@ void SensorSide::EchoHeartbeats() {
 }
 
 void SensorSide::Acknowledge(const store::HighWater& judged) {
+  // Of each session: what is new to it, or else one thing that is not, for its commit.
+  std::map<SessionId, action::Acknowledge> known;
+  std::set<SessionId> told;
   for (const auto& [key, sequence] : judged) {
     const auto it = hosts_.find(key.host);
     if (it == hosts_.end()) continue;
     SensorHost& host = it->second;
     const std::string incarnation = absl::HexStringToBytes(key.incarnation);
+    const bool news = host.durable.Judged(incarnation, LaneOf(key)) < sequence;
     host.durable.Load(incarnation, LaneOf(key), sequence);
     if (!host.session) continue;
-    context_.Do(action::Acknowledge{.session = host.session->id,
+    action::Acknowledge acknowledge{.session = host.session->id,
                                     .incarnation = incarnation,
                                     .lane = LaneOf(key),
                                     .sequence = sequence,
-                                    .commit = context_.store.commit});
+                                    .commit = context_.store.commit};
+    if (!news) {
+      known.try_emplace(host.session->id, std::move(acknowledge));
+      continue;
+    }
+    told.insert(host.session->id);
+    context_.Do(std::move(acknowledge));
+  }
+  for (auto& [session, acknowledge] : known) {
+    if (!told.contains(session)) context_.Do(std::move(acknowledge));
   }
   for (auto& [name, host] : hosts_) host.durable.KeepOnly(host.sequences);
 }
@@ -401,14 +417,20 @@ bool SensorSide::complete() const {
 }
 
 void SensorSide::AddHighWater(store::HighWater& judged) const {
+  store::HighWater stored;
   for (const auto& [name, host] : hosts_) {
     for (const auto& [key, sequence] : host.sequences.all()) {
-      const auto lane = key.second == Lane::kControl ? store::LaneKey::Lane::kControl
-                                                     : store::LaneKey::Lane::kMessages;
-      judged[{.host = name, .incarnation = absl::BytesToHexString(key.first), .lane = lane}] =
+      const auto& [incarnation, of_lane] = key;
+      const auto lane = of_lane == Lane::kControl ? store::LaneKey::Lane::kControl
+                                                  : store::LaneKey::Lane::kMessages;
+      const bool news = host.durable.Judged(incarnation, of_lane) < sequence;
+      (news ? judged : stored)[{
+          .host = name, .incarnation = absl::BytesToHexString(incarnation), .lane = lane}] =
           sequence;
     }
   }
+  // What is written is acknowledged, and with it the commit.
+  if (judged.empty()) judged = std::move(stored);
 }
 
 }  // namespace rips::pipeline
