@@ -35,6 +35,9 @@ constexpr int kConnectionsOfAHost = 4;
 // Of one operator's certificate, beside those that its streams hold: an order finds one.
 constexpr int kConnectionsForCalls = 32;
 
+constexpr absl::Duration kTimeStepMin = absl::Milliseconds(50);
+constexpr absl::Duration kTimeStepMax = absl::Milliseconds(200);
+
 // From a fast disk to what is an outage.
 const std::vector<double> kCommitSeconds = {0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1, 3, 10};
 
@@ -47,6 +50,13 @@ pipeline::Timing ToPipeline(const Timing& timing) {
           .late_after_ns = absl::ToInt64Nanoseconds(timing.late_after),
           .tick_ns = absl::ToInt64Nanoseconds(timing.tick),
           .linger_ms = static_cast<uint32_t>(absl::ToInt64Milliseconds(timing.linger))};
+}
+
+// Robots are told the time ten times a heartbeat, so that nothing is late by much of one, and as
+// often as rules are asked when nothing happens.
+int64_t TimeStepNs(const Timing& timing) {
+  const absl::Duration step = std::min(timing.heartbeat / 10, timing.tick);
+  return absl::ToInt64Nanoseconds(std::clamp(step, kTimeStepMin, kTimeStepMax));
 }
 
 Gauge ClockSkew(Metrics& metrics, const std::string& robot, const std::string& host) {
@@ -572,6 +582,7 @@ absl::Status Server::AddRobots() {
   pipeline_ = std::make_unique<pipeline::Pipeline>(
       shards, &clock_,
       pipeline::PipelineLimits{
+          .time_step_ns = TimeStepNs(config_.timing),
           .cpu_per_second_ns = absl::ToInt64Nanoseconds(fairness.cpu_per_second),
           .cpu_burst_ns = absl::ToInt64Nanoseconds(fairness.cpu_burst),
           .long_task_ns = absl::ToInt64Nanoseconds(fairness.long_task)},

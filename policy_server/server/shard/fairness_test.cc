@@ -73,19 +73,20 @@ class FairnessTest : public ::testing::Test {
                         .refused = [this](const std::string& robot) { refused_.Push(robot); },
                         .advanced = [this] { ++advanced_; }},
         [this] { return cpu_ns_.load(); });
-    for (const char* id : {"r1", "r2"}) {
-      ASSERT_EQ(store_.Acquire(id)->tenure, 1u);
-      ASSERT_THAT(pipeline_->Add({.id = id,
-                                  .sensor_hosts = {"base"},
-                                  .primary_sensor = "base",
-                                  .actuator_hosts = {"base"}},
-                                 {.program = program_, .bundle_id = "b"},
-                                 Timing{.lost_ns = 10'000 * kNanosPerSecond}, {}, 1,
-                                 {.recorder = &recorder_,
-                                  .audience = &audience_,
-                                  .new_id = [this] { return absl::StrFormat("%032x", ++ids_); }}),
-                  IsOk());
-    }
+    for (const char* id : {"r1", "r2"}) AddRobot(id);
+  }
+  void AddRobot(const std::string& id) {
+    ASSERT_EQ(store_.Acquire(id)->tenure, 1u);
+    ASSERT_THAT(pipeline_->Add({.id = id,
+                                .sensor_hosts = {"base"},
+                                .primary_sensor = "base",
+                                .actuator_hosts = {"base"}},
+                               {.program = program_, .bundle_id = "b"},
+                               Timing{.lost_ns = 10'000 * kNanosPerSecond}, {}, 1,
+                               {.recorder = &recorder_,
+                                .audience = &audience_,
+                                .new_id = [this] { return absl::StrFormat("%032x", ++ids_); }}),
+                IsOk());
   }
   void TearDown() override {
     gate_.Close();
@@ -174,6 +175,36 @@ TEST_F(FairnessTest, LeasesOfAllRobotsGoOutBetweenAnyTwoTasks) {
     longest_ns = std::max(longest_ns, actuator->sent_ns[i] - actuator->sent_ns[i - 1]);
   }
   EXPECT_LE(longest_ns, (500 + 2 * 80 + 50) * kFairMs) << "a heartbeat, and what is under way";
+}
+
+TEST_F(FairnessTest, OfManyRobotsEachIsToldTheTimeInEachRound) {
+  constexpr int kRobots = 200;
+  Open(TurnsOnly());
+  std::vector<std::shared_ptr<TimedActuator>> actuators;
+  for (int i = 3; i <= kRobots; ++i) {
+    const std::string id = absl::StrCat("r", i);
+    AddRobot(id);
+    actuators.push_back(std::make_shared<TimedActuator>(&clock_));
+    Post(id, Queue::kActuators, [actuator = actuators.back()](Robot& robot) {
+      robot.OnActuatorHello(
+          "base", actuator,
+          {.levels = {"DEFAULT", "ALERT", "COMPROMISED", "HALT"}, .effective_level = "DEFAULT"});
+    });
+  }
+  pipeline_->Start();
+  Flood(500, 60);
+  while (flooded_ < 500) OnRobot("r2", [](Robot&) {});
+  pipeline_->Stop();
+
+  for (const auto& actuator : actuators) {
+    // 30 s have passed, and a heartbeat is due every 500 ms.
+    ASSERT_THAT(actuator->sent_ns, SizeIs(::testing::Gt(20u)));
+    int64_t longest_ns = 0;
+    for (size_t i = 1; i < actuator->sent_ns.size(); ++i) {
+      longest_ns = std::max(longest_ns, actuator->sent_ns[i] - actuator->sent_ns[i - 1]);
+    }
+    EXPECT_LE(longest_ns, (500 + 4 * 60 + 50) * kFairMs) << "a heartbeat, and what is under way";
+  }
 }
 
 TEST_F(FairnessTest, ARobotWithoutBudgetWaitsButNotItsOrdersNorOtherRobots) {

@@ -17,6 +17,8 @@ struct PipelineLimits {
   size_t orders_max = 1'024;
   size_t control_max = 4'096;
   size_t messages_max = 4'096;
+  // How often robots are told the time.
+  int64_t time_step_ns = 50 * kNanosPerMilli;
   // A turn ends after the task during which it has lasted so long.
   int64_t turn_ns = 2 * kNanosPerMilli;
   // CPU time that what a robot's agents send may use; at most `cpu_burst_ns` are saved. Beyond it

@@ -68,14 +68,18 @@ struct Seat {
   bool slow = false;
   // When a piece of its work last cost more than PipelineLimits::long_task_ns.
   int64_t long_task_at_ns = 0;
-  // CPU time since the last round of OnTime.
-  int64_t used_in_round_ns = 0;
+  // As of TimeRounds.
+  size_t joined = 0;
+  // CPU time since step `used_in_step` of its shard's time.
+  int64_t used_ns = 0;
+  uint64_t used_in_step = 0;
   // Since its tasks wait for its budget; 0 = they do not. It was reported.
   int64_t deferred_since_ns = 0;
   int64_t deferred_last_ns = 0;
   bool deferral_reported = false;
-  // Longest wait of a task since it was last reported, and what was reported.
+  // Longest wait of a task since it was last reported, what was reported, and when it is due again.
   int64_t longest_wait_ns = 0;
+  int64_t wait_due_ns = 0;
   int64_t reported_wait_ns = -1;
   uint64_t view_revision = 0;
 

@@ -5,8 +5,22 @@
 #include <utility>
 
 namespace rips::pipeline {
+namespace {
 
-Shard::Shard(Options options) : options_(std::move(options)), meter_(options_.cpu_ns) {}
+// Once a second.
+void ReportWait(const PipelineReports& reports, Seat& seat, int64_t now_ns) {
+  if (now_ns < seat.wait_due_ns) return;
+  seat.wait_due_ns = now_ns + kNanosPerSecond;
+  const int64_t longest_ns = std::exchange(seat.longest_wait_ns, 0);
+  if (longest_ns == seat.reported_wait_ns || !reports.waited) return;
+  seat.reported_wait_ns = longest_ns;
+  reports.waited(seat.robot_name, longest_ns);
+}
+
+}  // namespace
+
+Shard::Shard(Options options)
+    : options_(std::move(options)), time_(options_.limits.time_step_ns), meter_(options_.cpu_ns) {}
 
 void Shard::Own(std::shared_ptr<Seat> seat) {
   MutexLock lock(&mu_);
@@ -103,6 +117,7 @@ void Shard::Run() {
       running_ = seat;
       running_since_ns_ = now_ns;
     }
+    for (const Seated& each : arrived) each->joined = time_.Join();
     seats_.insert(seats_.end(), arrived.begin(), arrived.end());
     if (seat != nullptr) now_ns = Serve(seat, now_ns);
     if (now_ns >= time_at_ns_) {
@@ -171,7 +186,8 @@ int64_t Shard::Serve(const Seated& seat, int64_t now_ns) {
 int64_t Shard::Account(Seat& seat, int64_t wall_ns, int64_t now_ns, bool charged) {
   const int64_t cost_ns = meter_.Cost(wall_ns);
   if (charged) seat.budget.Charge(cost_ns);
-  seat.used_in_round_ns += cost_ns;
+  if (std::exchange(seat.used_in_step, steps_) != steps_) seat.used_ns = 0;
+  seat.used_ns += cost_ns;
   if (cost_ns < options_.limits.long_task_ns) return cost_ns;
   seat.long_task_at_ns = now_ns;
   if (!std::exchange(seat.slow, true) && options_.reports->moved) {
@@ -185,8 +201,8 @@ void Shard::EndTurn(const Seated& seat, int64_t used_ns, bool again) {
   turns_.Charge(seat, used_ns);
   if (again) turns_.Ready(seat);
   running_ = nullptr;
-  if (seat->used_in_round_ns <= most_ns_) return;
-  most_ns_ = seat->used_in_round_ns;
+  if (seat->used_ns <= most_ns_) return;
+  most_ns_ = seat->used_ns;
   most_by_ = seat;
 }
 
@@ -200,21 +216,23 @@ void Shard::RunTime(int64_t now_ns) {
     most_ns_ = 0;
   }
   meter_.Sync();
-  const bool waits_due = now_ns >= waits_at_ns_;
-  if (waits_due) waits_at_ns_ = now_ns + kNanosPerSecond;
+  ++steps_;
   // OnTime adds and removes no seats.
+  time_.Next(seats_.size(), now_ns - time_at_ns_);
+  std::vector<Seated> due;
   for (const Seated& seat : seats_) {
+    if (time_.Contains(seat->joined)) due.push_back(seat);
+  }
+  for (const Seated& seat : due) {
     UpdateDeferral(seat, now_ns);
     SetRunning(seat, now_ns);
-    seat->used_in_round_ns = 0;
     seat->robot->OnTime();
     const int64_t ended_ns = NowNs();
     Account(*seat, ended_ns - now_ns, ended_ns, /*charged=*/true);
     now_ns = ended_ns;
-    if (waits_due) ReportWait(*seat);
+    ReportWait(*options_.reports, *seat, now_ns);
   }
-  const std::vector<Seated> seats = seats_;
-  for (const Seated& seat : seats) {
+  for (const Seated& seat : due) {
     if (seat->leaving && LetGo(seat)) continue;
     PublishGraph(*seat);
     const bool behaved = now_ns - seat->long_task_at_ns >= options_.limits.slow_stay_ns;
@@ -224,8 +242,8 @@ void Shard::RunTime(int64_t now_ns) {
     }
     if (seat->slow == (options_.slow != nullptr)) Move(seat);
   }
-  time_at_ns_ = NowNs() + kTimeStepNs;
-  ++rounds_;
+  time_at_ns_ = NowNs() + time_.part_ns();
+  if (time_.round_over()) ++rounds_;
   MutexLock lock(&mu_);
   running_ = nullptr;
   due_ns_ = time_at_ns_;
@@ -262,13 +280,6 @@ void Shard::UpdateDeferral(const Seated& seat, int64_t now_ns) {
     seat->deferred_since_ns = 0;
     seat->deferral_reported = false;
   }
-}
-
-void Shard::ReportWait(Seat& seat) {
-  const int64_t longest_ns = std::exchange(seat.longest_wait_ns, 0);
-  if (longest_ns == seat.reported_wait_ns || !options_.reports->waited) return;
-  seat.reported_wait_ns = longest_ns;
-  options_.reports->waited(seat.robot_name, longest_ns);
 }
 
 void Shard::PublishGraph(Seat& seat) {

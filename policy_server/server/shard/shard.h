@@ -1,9 +1,11 @@
 // One thread that judges robots, in fair turns.
 //
-// Between any two tasks the thread looks at the time: every 50 ms it calls OnTime of all its
-// robots (leases, heartbeats, deadlines), whatever waits. Otherwise the next turn belongs to the
-// robot that has used the least time (FairTurns); it lasts one task, or several short ones up to
-// PipelineLimits::turn_ns. A robot without budget (CpuBudget) has no turns, except for orders.
+// Between any two tasks the thread looks at the time: every 50 ms (PipelineLimits::time_step_ns) it
+// calls OnTime of each of its robots (leases, heartbeats, deadlines), whatever waits. It tells many
+// robots in parts, so that no task waits for all of them, and what they send and store comes in no
+// bursts. Otherwise the next turn belongs to the robot that has used the least time (FairTurns); it
+// lasts one task, or several short ones up to PipelineLimits::turn_ns. A robot without budget
+// (CpuBudget) has no turns, except for orders.
 //
 // A robot delays the others of its thread by one task at most, and only once: one whose task was
 // long moves to the thread of slow robots. Leases are sent by the thread that judges, on purpose: a
@@ -28,6 +30,7 @@
 #include "policy_server/server/shard/fair_turns.h"
 #include "policy_server/server/shard/pipeline_options.h"
 #include "policy_server/server/shard/seat.h"
+#include "policy_server/server/shard/time_rounds.h"
 #include "services/base/clock.h"
 #include "services/runtime/mutex.h"
 
@@ -35,8 +38,6 @@ namespace rips::pipeline {
 
 class Shard {
  public:
-  // How often robots are told the time: a tenth of a heartbeat.
-  static constexpr int64_t kTimeStepNs = 50 * kNanosPerMilli;
   // How long a robot's tasks must not have waited for its budget until that is news again.
   static constexpr int64_t kDeferralOverNs = 60 * kNanosPerSecond;
 
@@ -92,7 +93,6 @@ class Shard {
   void EndTurn(const Seated& seat, int64_t used_ns, bool again) ABSL_LOCKS_EXCLUDED(mu_);
   void RunTime(int64_t now_ns);
   void UpdateDeferral(const Seated& seat, int64_t now_ns);
-  void ReportWait(Seat& seat);
   void PublishGraph(Seat& seat);
   // True if the robot has left.
   bool LetGo(const Seated& seat);
@@ -104,9 +104,11 @@ class Shard {
   const Options options_;
   // The shard's thread alone.
   std::vector<Seated> seats_;
+  TimeRounds time_;
+  // Calls of RunTime.
+  uint64_t steps_ = 0;
   CostMeter meter_;
   int64_t time_at_ns_ = 0;
-  int64_t waits_at_ns_ = 0;
   std::atomic<uint64_t> rounds_ = 0;
   std::thread thread_;
 
