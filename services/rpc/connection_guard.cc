@@ -1,6 +1,7 @@
 #include "services/rpc/connection_guard.h"
 
 #include <fcntl.h>
+#include <linux/tcp.h>
 #include <malloc.h>
 #include <netdb.h>
 #include <netinet/in.h>
