@@ -23,6 +23,8 @@ void AddHint(const std::string& server, const TlsFiles& files, grpc::Status& sta
 constexpr std::chrono::milliseconds kStopSlice(100);
 // How long a failed channel may take to say why.
 constexpr std::chrono::milliseconds kReasonTimeout(200);
+// Of a server to a client, a recording that ripsctl fetches for example: as the server's own.
+constexpr int kLookaheadBytes = 256 << 10;
 
 Random SystemRandom() {
   auto generator = std::make_shared<std::mt19937_64>(std::random_device()());
@@ -53,6 +55,7 @@ std::shared_ptr<grpc::Channel> MakeChannel(
   // A server sends little. Pings after its messages, to find a wider window, were a sixth of all
   // that it had to answer.
   arguments.SetInt(GRPC_ARG_HTTP2_BDP_PROBE, 0);
+  arguments.SetInt(GRPC_ARG_HTTP2_STREAM_LOOKAHEAD_BYTES, kLookaheadBytes);
   // A channel shares nothing with earlier ones, neither connection nor back-off.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
   // Nothing but the configuration decides where to connect.

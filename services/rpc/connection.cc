@@ -74,7 +74,7 @@ Connection::State Connection::Check(int64_t now_ns, bool active, int64_t rest_ns
   socklen_t size = sizeof(info);
   if (getsockopt(socket_.get(), IPPROTO_TCP, TCP_INFO, &info, &size) != 0) return State::kOver;
   spoke_ = info.tcpi_bytes_received >= kClientHelloBytes;
-  look_.unsent = info.tcpi_notsent_bytes > 0;
+  look_.unsent = info.tcpi_notsent_bytes > 0 || info.tcpi_unacked > 0;
   if (info.tcpi_state != kEstablished && info.tcpi_state != kCloseWait) return State::kOver;
   if (ended_) return State::kEnded;
   excess = budget_.Check(info.tcpi_bytes_received, now_ns);

@@ -49,7 +49,7 @@ class Connection {
  private:
   friend class ConnectionGuard;
   enum class State { kOpen, kOver, kEnded };
-  // The last time that the kernel was asked; `unsent`: the peer had not read what it was sent.
+  // The last time that the kernel was asked; `unsent`: the peer had not taken what it was sent.
   struct Look {
     bool watched = false;
     bool unsent = false;

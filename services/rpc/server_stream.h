@@ -35,6 +35,7 @@ class ServerStream : public grpc::ServerBidiReactor<In, Out> {
  private:
   void OnReadDone(bool ok) final {
     if (!ok) {
+      arena_.Reset();  // a message that could not be decoded may be large
       unreadable_ = outbound_->open();
       return outbound_->Close(grpc::Status(
           grpc::StatusCode::INVALID_ARGUMENT,

@@ -70,9 +70,9 @@ struct Seat {
   int64_t long_task_at_ns = 0;
   // As of TimeRounds.
   size_t joined = 0;
-  // CPU time since step `used_in_step` of its shard's time.
+  // CPU time in round `used_in_round` of its shard.
   int64_t used_ns = 0;
-  uint64_t used_in_step = 0;
+  uint64_t used_in_round = 0;
   // Since its tasks wait for its budget; 0 = they do not. It was reported.
   int64_t deferred_since_ns = 0;
   int64_t deferred_last_ns = 0;

@@ -186,7 +186,8 @@ int64_t Shard::Serve(const Seated& seat, int64_t now_ns) {
 int64_t Shard::Account(Seat& seat, int64_t wall_ns, int64_t now_ns, bool charged) {
   const int64_t cost_ns = meter_.Cost(wall_ns);
   if (charged) seat.budget.Charge(cost_ns);
-  if (std::exchange(seat.used_in_step, steps_) != steps_) seat.used_ns = 0;
+  const uint64_t round = rounds_;
+  if (std::exchange(seat.used_in_round, round) != round) seat.used_ns = 0;
   seat.used_ns += cost_ns;
   if (cost_ns < options_.limits.long_task_ns) return cost_ns;
   seat.long_task_at_ns = now_ns;
@@ -207,18 +208,17 @@ void Shard::EndTurn(const Seated& seat, int64_t used_ns, bool again) {
 }
 
 void Shard::RunTime(int64_t now_ns) {
-  if (time_at_ns_ != 0) {
+  time_.Next(seats_.size(), now_ns - time_at_ns_);
+  if (time_at_ns_ != 0 && time_.round_over()) {
     MutexLock lock(&mu_);
-    if (now_ns - time_at_ns_ > latest_.late_ns) {
-      latest_ = {now_ns - time_at_ns_, most_by_ == nullptr ? "" : most_by_->robot_name};
+    if (now_ns - due_ns_ > latest_.late_ns) {
+      latest_ = {now_ns - due_ns_, most_by_ == nullptr ? "" : most_by_->robot_name};
     }
     most_by_ = nullptr;
     most_ns_ = 0;
   }
   meter_.Sync();
-  ++steps_;
   // OnTime adds and removes no seats.
-  time_.Next(seats_.size(), now_ns - time_at_ns_);
   std::vector<Seated> due;
   for (const Seated& seat : seats_) {
     if (time_.Contains(seat->joined)) due.push_back(seat);
@@ -242,11 +242,13 @@ void Shard::RunTime(int64_t now_ns) {
     }
     if (seat->slow == (options_.slow != nullptr)) Move(seat);
   }
-  time_at_ns_ = NowNs() + time_.part_ns();
+  now_ns = NowNs();
+  time_at_ns_ = now_ns + time_.part_ns();
   if (time_.round_over()) ++rounds_;
   MutexLock lock(&mu_);
   running_ = nullptr;
-  due_ns_ = time_at_ns_;
+  // When the next round should be over: a thread may be late without any part of it being so.
+  if (time_.round_over()) due_ns_ = now_ns + options_.limits.time_step_ns;
 }
 
 void Shard::UpdateDeferral(const Seated& seat, int64_t now_ns) {

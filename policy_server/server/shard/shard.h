@@ -105,8 +105,6 @@ class Shard {
   // The shard's thread alone.
   std::vector<Seated> seats_;
   TimeRounds time_;
-  // Calls of RunTime.
-  uint64_t steps_ = 0;
   CostMeter meter_;
   int64_t time_at_ns_ = 0;
   std::atomic<uint64_t> rounds_ = 0;

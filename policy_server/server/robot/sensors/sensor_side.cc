@@ -340,7 +340,9 @@ void SensorSide::Acknowledge(const store::HighWater& judged) {
                                     .sequence = sequence,
                                     .commit = context_.store.commit};
     if (!news) {
-      known.try_emplace(host.session->id, std::move(acknowledge));
+      const bool own = incarnation == host.session->incarnation;
+      const auto [at, fresh] = known.try_emplace(host.session->id, acknowledge);
+      if (own && !fresh) at->second = std::move(acknowledge);
       continue;
     }
     told.insert(host.session->id);
@@ -417,20 +419,21 @@ bool SensorSide::complete() const {
 }
 
 void SensorSide::AddHighWater(store::HighWater& judged) const {
-  store::HighWater stored;
   for (const auto& [name, host] : hosts_) {
+    store::HighWater news;
+    store::HighWater stored;
     for (const auto& [key, sequence] : host.sequences.all()) {
       const auto& [incarnation, of_lane] = key;
       const auto lane = of_lane == Lane::kControl ? store::LaneKey::Lane::kControl
                                                   : store::LaneKey::Lane::kMessages;
-      const bool news = host.durable.Judged(incarnation, of_lane) < sequence;
-      (news ? judged : stored)[{
+      const bool is_news = host.durable.Judged(incarnation, of_lane) < sequence;
+      (is_news ? news : stored)[{
           .host = name, .incarnation = absl::BytesToHexString(incarnation), .lane = lane}] =
           sequence;
     }
+    // What is written is acknowledged, and with it the commit.
+    judged.merge(news.empty() ? stored : news);
   }
-  // What is written is acknowledged, and with it the commit.
-  if (judged.empty()) judged = std::move(stored);
 }
 
 }  // namespace rips::pipeline
