@@ -52,8 +52,8 @@ pipeline::Timing ToPipeline(const Timing& timing) {
           .linger_ms = static_cast<uint32_t>(absl::ToInt64Milliseconds(timing.linger))};
 }
 
-// Robots are told the time ten times a heartbeat, so that nothing is late by much of one, and as
-// often as rules are asked when nothing happens.
+// Ten times a heartbeat, so that nothing is late by much of one, and as often as External rules run
+// when nothing happens.
 int64_t TimeStepNs(const Timing& timing) {
   const absl::Duration step = std::min(timing.heartbeat / 10, timing.tick);
   return absl::ToInt64Nanoseconds(std::clamp(step, kTimeStepMin, kTimeStepMax));

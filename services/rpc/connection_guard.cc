@@ -38,8 +38,8 @@ constexpr char kUndecodable[] = " undecodable";
 constexpr int kRoomPerLook = 128;
 // At most, of many.
 constexpr size_t kRoomAtOnce = 16;
-// After so many looks also a connection at rest is looked at: a peer that floods and does not read
-// may go untold (SocketActivity).
+// After so many looks also a connection at rest is looked at: SocketActivity
+// misses a peer that floods and does not read.
 constexpr int64_t kRestLooks = 4;
 constexpr char kEndedHelp[] = "Connections ended by the guard, by why.";
 

@@ -12,7 +12,7 @@ SocketActivity::SocketActivity() : epoll_(epoll_create1(EPOLL_CLOEXEC)) {}
 bool SocketActivity::Add(int socket) {
   epoll_event event = {};
   // At a look, the kernel asks anew each socket that an edge was on, and drops it if nothing is
-  // ready: what was read away would go untold, but that it can be written to.
+  // ready: EPOLLOUT keeps those whose bytes were read meanwhile.
   event.events = EPOLLIN | EPOLLOUT | EPOLLRDHUP | EPOLLET;
   event.data.fd = socket;
   return epoll_ctl(epoll_.get(), EPOLL_CTL_ADD, socket, &event) == 0;

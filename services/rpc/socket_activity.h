@@ -7,9 +7,9 @@
 
 namespace rips::rpc {
 
-// Edges of epoll(7): that bytes came, whoever has read them, or that a side was closed. Bytes that
-// were read already are not told of a socket whose peer does not read, so that it cannot be written
-// to. Look on one thread; Add and Remove on any.
+// Edges of epoll(7): bytes came, read since or not, or a side was closed. Missed are bytes that
+// were read already on a socket that cannot be written to, since its peer does not read. Look on
+// one thread; Add and Remove on any.
 class SocketActivity {
  public:
   SocketActivity();

@@ -37,7 +37,7 @@ TEST(SocketActivityTest, TellsEachOnceOfWhatCame) {
   activity.Look();  // both are new
   one.Say();
   EXPECT_THAT(activity.Look(), UnorderedElementsAre(one.ours.get()));
-  EXPECT_THAT(activity.Look(), IsEmpty()) << "though nobody has read it";
+  EXPECT_THAT(activity.Look(), IsEmpty()) << "though it is unread";
   one.Say();
   other.Say();
   EXPECT_THAT(activity.Look(), UnorderedElementsAre(one.ours.get(), other.ours.get()));

@@ -177,7 +177,7 @@ TEST_F(FairnessTest, LeasesOfAllRobotsGoOutBetweenAnyTwoTasks) {
   EXPECT_LE(longest_ns, (500 + 2 * 80 + 50) * kFairMs) << "a heartbeat, and what is under way";
 }
 
-TEST_F(FairnessTest, OfManyRobotsEachIsToldTheTimeInEachRound) {
+TEST_F(FairnessTest, LeasesOfManyRobotsGoOutInTime) {
   constexpr int kRobots = 200;
   Open(TurnsOnly());
   std::vector<std::shared_ptr<TimedActuator>> actuators;

@@ -17,7 +17,7 @@ struct PipelineLimits {
   size_t orders_max = 1'024;
   size_t control_max = 4'096;
   size_t messages_max = 4'096;
-  // How often robots are told the time.
+  // Between two calls of a robot's OnTime.
   int64_t time_step_ns = 50 * kNanosPerMilli;
   // A turn ends after the task during which it has lasted so long.
   int64_t turn_ns = 2 * kNanosPerMilli;

@@ -1,5 +1,5 @@
-// Which robots of a thread are told the time when: few of them in one go each step, many in parts
-// of a step, so that no task waits for all of them. Pure.
+// When a thread calls OnTime of which robots: of few in one go each step, of many in parts of a
+// step, so that no task waits for all of them. Pure.
 #ifndef RIPS_POLICY_SERVER_SERVER_SHARD_TIME_ROUNDS_H_
 #define RIPS_POLICY_SERVER_SERVER_SHARD_TIME_ROUNDS_H_
 
@@ -19,8 +19,8 @@ class TimeRounds {
 
   // Of a robot that joins: where in the rounds it is, for as long as it stays.
   size_t Join() { return joined_++; }
-  // Begins the next part. One that is late is as long as all that should have been told meanwhile,
-  // but ends with the round: nobody is in one part twice.
+  // Begins the next part. A late part includes the parts that were missed, up to the end of the
+  // round: no robot is in one part twice.
   void Next(size_t robots, int64_t late_ns) {
     if (round_over()) {
       parts_ = std::clamp<size_t>(robots / kRobotsOfPart, 1, kPartsMax);
@@ -30,12 +30,12 @@ class TimeRounds {
     const int64_t missed = std::max<int64_t>(late_ns, 0) / part_ns();
     end_ = begin_ + 1 + static_cast<size_t>(std::min<int64_t>(missed, kPartsMax));
   }
-  // A robot that joined as `joined` is told in this part.
+  // A robot that joined as `joined` belongs to this part.
   bool Contains(size_t joined) const {
     const size_t part = joined % parts_;
     return begin_ <= part && part < end_;
   }
-  // All have been told.
+  // This part is the last of its round.
   bool round_over() const { return end_ >= parts_; }
   // From the end of a part to the next.
   int64_t part_ns() const { return step_ns_ / static_cast<int64_t>(parts_); }

@@ -13,18 +13,19 @@ using ::testing::Each;
 
 constexpr int64_t kStepNs = 50 * kNanosPerMilli;
 
-// How often each robot is told in one round, in which part `late_at` is late by `late_ns`.
-std::vector<int> Told(TimeRounds& time, size_t robots, int late_at = -1, int64_t late_ns = 0) {
-  std::vector<int> told(robots, 0);
+// In how many parts of one round each robot is; part `late_at` is late by `late_ns`.
+std::vector<int> PartsOfRobots(TimeRounds& time, size_t robots, int late_at = -1,
+                               int64_t late_ns = 0) {
+  std::vector<int> parts(robots, 0);
   int part = 0;
   do {
     time.Next(robots, part++ == late_at ? late_ns : 0);
-    for (size_t i = 0; i < robots; ++i) told[i] += time.Contains(i) ? 1 : 0;
+    for (size_t i = 0; i < robots; ++i) parts[i] += time.Contains(i) ? 1 : 0;
   } while (!time.round_over());
-  return told;
+  return parts;
 }
 
-TEST(TimeRoundsTest, FewAreToldInOneGo) {
+TEST(TimeRoundsTest, FewAreOnePart) {
   TimeRounds time(kStepNs);
   time.Next(63, 0);
   EXPECT_TRUE(time.round_over());
@@ -32,25 +33,25 @@ TEST(TimeRoundsTest, FewAreToldInOneGo) {
   EXPECT_EQ(time.part_ns(), kStepNs);
 }
 
-TEST(TimeRoundsTest, ManyAreToldOnceEachRoundInParts) {
+TEST(TimeRoundsTest, EachOfManyIsInOnePartOfARound) {
   TimeRounds time(kStepNs);
-  EXPECT_THAT(Told(time, 500), Each(1));
+  EXPECT_THAT(PartsOfRobots(time, 500), Each(1));
   EXPECT_EQ(time.part_ns(), kStepNs / 10);
   time.Next(500, 0);
   EXPECT_FALSE(time.round_over());
   EXPECT_TRUE(time.Contains(10) && !time.Contains(11));
 }
 
-TEST(TimeRoundsTest, WhatWasMissedIsMadeUpForAndNobodyIsToldTwice) {
+TEST(TimeRoundsTest, ALatePartIncludesMissedOnesAndNoRobotTwice) {
   for (int late_at = 0; late_at < 10; ++late_at) {
     for (const int64_t late_ns : {kStepNs / 10, kStepNs, 1'000 * kStepNs}) {
       TimeRounds time(kStepNs);
-      EXPECT_THAT(Told(time, 500, late_at, late_ns), Each(1)) << late_at << " " << late_ns;
+      EXPECT_THAT(PartsOfRobots(time, 500, late_at, late_ns), Each(1)) << late_at << " " << late_ns;
     }
   }
   TimeRounds time(kStepNs);
   time.Next(500, kStepNs);
-  EXPECT_TRUE(time.round_over()) << "after a long task all are told at once";
+  EXPECT_TRUE(time.round_over()) << "after a long task, one part has all robots";
 }
 
 TEST(TimeRoundsTest, ARoundIsOfThoseThatWereThereAtItsBeginning) {
@@ -59,7 +60,7 @@ TEST(TimeRoundsTest, ARoundIsOfThoseThatWereThereAtItsBeginning) {
   EXPECT_FALSE(time.round_over());
   time.Next(500, 0);
   EXPECT_TRUE(time.round_over()) << "of two parts still";
-  EXPECT_THAT(Told(time, 500), Each(1));
+  EXPECT_THAT(PartsOfRobots(time, 500), Each(1));
 }
 
 TEST(TimeRoundsTest, APlaceStaysAndNoTwoShareOne) {

@@ -1,6 +1,6 @@
 // Makes what many threads write durable with as few disk flushes as can be: whatever was submitted
-// while the last transaction was flushed goes into the next one, and what is in no hurry (how far
-// the observations of a robot are judged) waits a little for more of its kind.
+// while the last transaction was flushed goes into the next one, and a batch that holds only
+// progress (how far the observations of a robot are judged) waits a little for others.
 //
 // One thread of its own. Order: batches are applied, and their callbacks called, in the order of
 // Submit. A batch that the store refuses spoils no other of its group. Nothing is tried twice: the
@@ -34,7 +34,7 @@ struct CommitterOptions {
   size_t waiting_max = 4'096;
   // Batches in one transaction; bounds how long the first of them waits for its callback.
   size_t group_max = 256;
-  // How long batches wait for others if nobody waits for one of them.
+  // How long batches that hold only progress of robots wait for others.
   absl::Duration gather = absl::Milliseconds(20);
   // A transaction that takes longer is an outage: no call of a disk that hangs returns an error.
   int64_t hang_ns = 5 * kNanosPerSecond;

@@ -105,7 +105,7 @@ WriteBatch Progress(uint64_t sequence) {
   return batch;
 }
 
-TEST(CommitterTest, WhatIsInNoHurryIsWrittenWithWhatIs) {
+TEST(CommitterTest, ProgressIsWrittenWithTheNextUrgentBatch) {
   FakeStore store;
   ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
@@ -121,7 +121,7 @@ TEST(CommitterTest, WhatIsInNoHurryIsWrittenWithWhatIs) {
   committer.Stop();
 }
 
-TEST(CommitterTest, WhatIsInNoHurryWaitsForItsTimeOnly) {
+TEST(CommitterTest, ProgressIsWrittenAfterGather) {
   FakeStore store;
   ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
@@ -131,7 +131,7 @@ TEST(CommitterTest, WhatIsInNoHurryWaitsForItsTimeOnly) {
   EXPECT_THAT(store.commit_sizes(), ElementsAre(1));
 }
 
-TEST(CommitterTest, TheEndWaitsForNothing) {
+TEST(CommitterTest, StopDoesNotWaitForGather) {
   FakeStore store;
   ASSERT_THAT(store.Acquire("r1"), IsOk());
   Told told;
@@ -141,7 +141,7 @@ TEST(CommitterTest, TheEndWaitsForNothing) {
   EXPECT_THAT(told.codes(), ElementsAre(absl::StatusCode::kOk));
 }
 
-TEST(CommitterTest, WhatSomebodyWaitsForIsInAHurry) {
+TEST(CommitterTest, OnlyProgressWaits) {
   const auto with = [](auto change) {
     WriteBatch batch = Progress(1);
     change(batch);

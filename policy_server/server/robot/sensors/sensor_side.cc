@@ -325,7 +325,7 @@ void SensorSide::EchoHeartbeats() {
 void SensorSide::Acknowledge(const store::HighWater& judged) {
   // Of each session: what is new to it, or else one thing that is not, for its commit.
   std::map<SessionId, action::Acknowledge> known;
-  std::set<SessionId> told;
+  std::set<SessionId> acknowledged;
   for (const auto& [key, sequence] : judged) {
     const auto it = hosts_.find(key.host);
     if (it == hosts_.end()) continue;
@@ -345,11 +345,11 @@ void SensorSide::Acknowledge(const store::HighWater& judged) {
       if (own && !fresh) at->second = std::move(acknowledge);
       continue;
     }
-    told.insert(host.session->id);
+    acknowledged.insert(host.session->id);
     context_.Do(std::move(acknowledge));
   }
   for (auto& [session, acknowledge] : known) {
-    if (!told.contains(session)) context_.Do(std::move(acknowledge));
+    if (!acknowledged.contains(session)) context_.Do(std::move(acknowledge));
   }
   for (auto& [name, host] : hosts_) host.durable.KeepOnly(host.sequences);
 }
