@@ -14,9 +14,10 @@ using Stream = ServerStream<v1::SensorMessage, v1::SensorReply>;
 using Outbound = Stream::Outbound;
 
 // Hands the test the sending half of each stream; answers heartbeats with their own time.
-class StreamService final : public v1::SensorService::CallbackService {
+class StreamService final
+    : public v1::SensorService::WithRawCallbackMethod_Observe<v1::SensorService::Service> {
  public:
-  grpc::ServerBidiReactor<v1::SensorMessage, v1::SensorReply>* Observe(
+  grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* Observe(
       grpc::CallbackServerContext*) override {
     return new Echo(this);
   }
@@ -25,7 +26,8 @@ class StreamService final : public v1::SensorService::CallbackService {
   BoundedQueue<int> ended{{.capacity = 100}};
   std::atomic<int> messages = 0;
   std::atomic<int> unreadable = 0;
-  std::atomic<bool> refuse = false;  // the first message, once `gate` is closed
+  std::atomic<size_t> bytes_max = SIZE_MAX;  // of a message that is decoded
+  std::atomic<bool> refuse = false;          // the first message, once `gate` is closed
   BoundedQueue<int> gate{{.capacity = 1}};
 
  private:
@@ -37,6 +39,9 @@ class StreamService final : public v1::SensorService::CallbackService {
     }
 
    private:
+    bool OnBytes(size_t bytes, google::protobuf::io::ZeroCopyInputStream&) override {
+      return bytes <= service_->bytes_max;
+    }
     void OnMessage(v1::SensorMessage& message) override {
       ++service_->messages;
       if (service_->refuse) {
@@ -152,17 +157,31 @@ TEST_F(ServerStreamTest, AMessageThatCannotBeDecodedAndAHalfClosedStreamEndItAnd
   ASSERT_TRUE(garbled.stream->Write(message));
   const grpc::Status end = garbled.End();
   EXPECT_EQ(end.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
-  EXPECT_EQ(end.error_message(),
-            "a message cannot be decoded (is a text not UTF-8?), or the stream was half-closed");
+  EXPECT_EQ(end.error_message(), "a message cannot be decoded (is a text not UTF-8?)");
   EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
   EXPECT_EQ(service_.unreadable, 1);
 
   Caller half(Connect());
   ASSERT_TRUE(half.Heartbeat(1));
   half.stream->WritesDone();
-  EXPECT_EQ(half.End().error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  const grpc::Status closed = half.End();
+  EXPECT_EQ(closed.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(closed.error_message(), "the stream was half-closed, or a message was too large");
   EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
   EXPECT_EQ(service_.unreadable, 2);
+}
+
+TEST_F(ServerStreamTest, WhatIsNotWorthDecodingIsPassedOverAndTheStreamGoesOn) {
+  service_.bytes_max = 1'000;
+  Caller peer(Connect());
+  v1::SensorMessage large;
+  large.mutable_hello()->mutable_hello()->set_host(std::string(1'000, '\xff'));
+  ASSERT_TRUE(peer.stream->Write(large));
+  ASSERT_TRUE(peer.Heartbeat(7));
+  v1::SensorReply reply;
+  ASSERT_TRUE(peer.stream->Read(&reply));
+  EXPECT_EQ(reply.heartbeat().echo_boottime_ns(), 7u);
+  EXPECT_EQ(service_.messages, 1);
 }
 
 TEST_F(ServerStreamTest, AStreamThatIsCancelledOrClosedHereIsNotToldAsUnreadable) {

@@ -35,6 +35,7 @@ constexpr FieldLimit kRows[] = {
 #define ANY(field) {field, 1, kAnyValue, false},
 #include "services/wire_limits/field_limits.def"
     {kUnknownFields, kUnknownFieldsMax, kAnyValue, false},
+    {kParsedSize, 1, kParsedBytesMax, false},
 #undef TEXT
 #undef TEXTS
 #undef EXACT
@@ -47,7 +48,6 @@ constexpr FieldLimit kRows[] = {
 };
 
 constexpr size_t kNoRow = std::size(kRows);
-constexpr size_t kUnknownRow = kNoRow - 1;
 
 constexpr bool Same(const char* a, const char* b) {
   while (*a != 0 && *a == *b) ++a, ++b;
@@ -59,6 +59,9 @@ constexpr size_t RowOf(const char* field) {
   while (row < kNoRow && !Same(kRows[row].field, field)) ++row;
   return row;
 }
+
+constexpr size_t kUnknownRow = RowOf(kUnknownFields);
+constexpr size_t kParsedSizeRow = RowOf(kParsedSize);
 
 // What has to be looked at in one kind of message.
 struct Plan {
@@ -300,6 +303,10 @@ std::string LimitHit::Text() const {
     return absl::StrCat("a message has ", size, " or more fields that are not known here; at most ",
                         limit.elements_max);
   }
+  if (row == kParsedSizeRow) {
+    return absl::StrCat("a message of ", size, " bytes takes more than ", limit.value_max >> 20,
+                        " MiB once it is parsed");
+  }
   switch (what) {
     case What::kElements:
       return absl::StrCat(limit.field, " has ", size, " elements; at most ", limit.elements_max);
@@ -314,6 +321,8 @@ std::string LimitHit::Text() const {
 }
 
 absl::Status LimitHit::ToStatus() const { return absl::InvalidArgumentError(Text()); }
+
+LimitHit ParsedSizeHit(size_t bytes) { return {kParsedSizeRow, bytes, What::kBytes}; }
 
 std::optional<LimitHit> Check(const Message& message) {
   return Walk(message, Plans::Of(message.GetDescriptor()));

@@ -39,6 +39,10 @@ inline constexpr uint64_t kAnyValue = UINT64_MAX;
 inline constexpr char kUnknownFields[] = "(unknown)";
 // In one message, those in its unknown groups among them; in the messages in it as many again.
 inline constexpr uint32_t kUnknownFieldsMax = 8;
+// The row for what a whole message takes in memory (parsed_size.h). Three times the largest graph
+// that our sensors send.
+inline constexpr char kParsedSize[] = "(parsed size)";
+inline constexpr size_t kParsedBytesMax = size_t{64} << 20;
 
 // All rows. Valid for ever.
 absl::Span<const FieldLimit> FieldLimits();
@@ -62,6 +66,9 @@ struct LimitHit {
 // field without a row is not checked: the test sees to it that a peer cannot send one. Any thread;
 // a MessageSeen costs some nanoseconds, the rest is walked by reflection.
 std::optional<LimitHit> Check(const google::protobuf::Message& message);
+
+// Of a message that has `bytes` bytes and would take more than kParsedBytesMax.
+LimitHit ParsedSizeHit(size_t bytes);
 
 // For senders: cuts texts (between two characters of UTF-8) and lists of texts, and caps counts.
 // What means something to a program stays as it is.

@@ -1,5 +1,6 @@
 // Whatever a sensor's stream holds: decoding ends with a batch within its limits or a refusal, the
-// same the second time; every view of a batch can be read after the decoder is gone.
+// same the second time; every view of a batch can be read after the decoder is gone. No message
+// takes more memory than its bytes foretell.
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -8,9 +9,11 @@
 #include <vector>
 
 #include "absl/strings/string_view.h"
+#include "google/protobuf/io/zero_copy_stream_impl_lite.h"
 #include "policy_server/server/ingest/observation_decoder.h"
 #include "services/base/check.h"
 #include "services/wire_limits/field_limits.h"
+#include "services/wire_limits/parsed_size.h"
 
 namespace rips::ingest {
 namespace {
@@ -49,7 +52,11 @@ std::vector<v1::SensorMessage> Messages(absl::string_view input) {
     const absl::string_view bytes = input.substr(0, size);
     input.remove_prefix(bytes.size());
     v1::SensorMessage message;
-    if (message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
+    google::protobuf::io::ArrayInputStream encoded(bytes.data(), static_cast<int>(bytes.size()));
+    const size_t foretold = wire_limits::ParsedSize(*message.descriptor(), encoded);
+    const bool parsed = message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()));
+    if (parsed) {
+      RIPS_CHECK(message.SpaceUsedLong() <= foretold, "more memory than its bytes foretell");
       out.push_back(std::move(message));
     }
   }

@@ -324,6 +324,13 @@ def fields_that_are_dear_to_parse(fleet):
 
 
 @quick
+def members_that_are_dear_to_parse(fleet):
+    """r2's key sends 4 MiB in which a hello and a batch, both empty, replace each other a million
+    times."""
+    send_dear_messages(fleet, b"\x0a\x00\x12\x00" * 1_000_000)
+
+
+@quick
 def calls_of_a_stolen_sensor(fleet):
     """r2's key begins 95 streams on each of eight connections, without a hello, and comes again."""
     arm_beside_r2(fleet)

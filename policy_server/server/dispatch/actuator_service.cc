@@ -19,6 +19,7 @@
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 #include "services/wire_limits/field_limits.h"
+#include "services/wire_limits/parsed_size.h"
 
 namespace rips::dispatch {
 namespace {
@@ -136,10 +137,16 @@ class ActuatorStream final : public Stream {
   }
 
  private:
-  void OnMessage(ActuatorMessage& message) override {
-    watch_->Heard(*session_, message.ByteSizeLong());
+  bool OnBytes(size_t bytes, google::protobuf::io::ZeroCopyInputStream& encoded) override {
+    watch_->Heard(*session_, bytes);
     link_->Heard(session_->heard_boottime_ns.load());
-    if (refused_) return;  // came before the peer heard of it
+    if (refused_) return false;  // came before the peer heard of it
+    const auto hit = wire_limits::CheckParsedSize(*ActuatorMessage::descriptor(), bytes, encoded);
+    if (hit) RefuseField(*hit);
+    return !hit.has_value();
+  }
+
+  void OnMessage(ActuatorMessage& message) override {
     if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
       return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
@@ -256,7 +263,7 @@ class ActuatorStream final : public Stream {
 
 }  // namespace
 
-grpc::ServerBidiReactor<ActuatorMessage, ActuatorReply>* ActuatorService::Attach(
+grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* ActuatorService::Attach(
     grpc::CallbackServerContext* context) {
   return new ActuatorStream(watch_->Admit(*context, rpc::Role::kActuator), context, pipeline_,
                             watch_, metrics_, &heads_, contacts_);

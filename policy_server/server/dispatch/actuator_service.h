@@ -34,7 +34,8 @@ struct AuditHeads {
 };
 
 // Robot, host and role are taken from the certificate alone.
-class ActuatorService final : public rips::v1::ActuatorService::CallbackService {
+class ActuatorService final : public rips::v1::ActuatorService::WithRawCallbackMethod_Attach<
+                                  rips::v1::ActuatorService::Service> {
  public:
   // Not owned; all outlive every call. `contacts` may be null.
   ActuatorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, DispatchMetrics metrics,
@@ -45,7 +46,7 @@ class ActuatorService final : public rips::v1::ActuatorService::CallbackService 
         heads_(std::move(heads)),
         contacts_(contacts) {}
 
-  grpc::ServerBidiReactor<rips::v1::ActuatorMessage, rips::v1::ActuatorReply>* Attach(
+  grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* Attach(
       grpc::CallbackServerContext* context) override;
 
  private:

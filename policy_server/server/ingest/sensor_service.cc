@@ -22,6 +22,7 @@
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 #include "services/wire_limits/field_limits.h"
+#include "services/wire_limits/parsed_size.h"
 
 namespace rips::ingest {
 namespace {
@@ -190,10 +191,16 @@ class SensorStream final : public Stream {
   }
 
  private:
-  void OnMessage(SensorMessage& message) override {
-    watch_->Heard(*session_, message.ByteSizeLong());
+  bool OnBytes(size_t bytes, google::protobuf::io::ZeroCopyInputStream& encoded) override {
+    watch_->Heard(*session_, bytes);
     link_->Heard(session_->heard_boottime_ns.load());
-    if (refused_) return;  // came before the peer heard of it
+    if (refused_) return false;  // came before the peer heard of it
+    const auto hit = wire_limits::CheckParsedSize(*SensorMessage::descriptor(), bytes, encoded);
+    if (hit) RefuseField(*hit);
+    return !hit.has_value();
+  }
+
+  void OnMessage(SensorMessage& message) override {
     if (const auto hit = wire_limits::Check(message)) return RefuseField(*hit);
     if (!session_->greeted && !message.has_hello()) {
       return Refuse(absl::InvalidArgumentError("the first message must be a hello"));
@@ -351,7 +358,7 @@ class SensorStream final : public Stream {
 
 }  // namespace
 
-grpc::ServerBidiReactor<SensorMessage, SensorReply>* SensorService::Observe(
+grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* SensorService::Observe(
     grpc::CallbackServerContext* context) {
   return new SensorStream(watch_->Admit(*context, rpc::Role::kSensor), context, pipeline_, watch_,
                           metrics_, contacts_);

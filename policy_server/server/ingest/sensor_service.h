@@ -22,14 +22,15 @@ struct IngestMetrics {
 };
 
 // Robot, host and role are taken from the certificate alone.
-class SensorService final : public rips::v1::SensorService::CallbackService {
+class SensorService final : public rips::v1::SensorService::WithRawCallbackMethod_Observe<
+                                rips::v1::SensorService::Service> {
  public:
   // Not owned; all outlive every call. `contacts` may be null.
   SensorService(pipeline::Pipeline* pipeline, rpc::SessionWatch* watch, IngestMetrics metrics,
                 pipeline::AgentContacts* contacts = nullptr)
       : pipeline_(pipeline), watch_(watch), metrics_(metrics), contacts_(contacts) {}
 
-  grpc::ServerBidiReactor<rips::v1::SensorMessage, rips::v1::SensorReply>* Observe(
+  grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::ByteBuffer>* Observe(
       grpc::CallbackServerContext* context) override;
 
  private:

@@ -302,6 +302,20 @@ TEST_F(SensorServiceTest, AFieldPastItsLimitEndsTheStreamIsCountedAndTold) {
   EXPECT_EQ(told(), 1);
 }
 
+TEST_F(SensorServiceTest, AMessageThatWouldTakeTooMuchMemoryIsNotParsed) {
+  const auto sensor = Connect();
+  ASSERT_NE(sensor, nullptr);
+  SensorMessage message;
+  for (int i = 0; i < 1'000'000; ++i) message.mutable_batch()->add_observations();
+  sensor->stream->Write(message);
+  const grpc::Status status = sensor->Ended();
+  EXPECT_EQ(status.error_code(), grpc::StatusCode::INVALID_ARGUMENT);
+  EXPECT_EQ(status.error_message(),
+            "a message of 2000004 bytes takes more than 64 MiB once it is parsed");
+  EXPECT_EQ(malformed_.Value(), 1);
+  EXPECT_THAT(metrics_.Text(), HasSubstr("rips_fields_refused_total{field=\"(parsed size)\"} 1"));
+}
+
 TEST_F(SensorServiceTest, AVersionAndTheLastContactOutliveTheStream) {
   contacts_.SetListed({{"r1", pipeline::AgentKind::kSensor, "base"}});
   Sensor sensor(channel_);
