@@ -1140,6 +1140,9 @@ def camera_guard_watches_a_real_camera(fleet):
     DDS, sensor, wire and plugin. Good pictures raise nothing, a covered lens raises ALERT."""
     if os.environ.get("RIPS_SANITIZE"):
         raise Skipped("a plugin's budget of real time is too short for a sanitizer")
+    closed = [each for each in fleet.dir.parents if not each.stat().st_mode & 0o001]
+    if closed and os.geteuid() == 0:
+        raise Skipped(f"plugins run as `nobody`, who may not enter {closed[-1]}")
     fleet.bundle = "camera-guard"
     fleet.levels = ["DEFAULT", "ALERT", "COMPROMISED"]
     shutil.copytree(fleet.bin.parent / "bundles/camera-guard", fleet.dir / "bundles/camera-guard")
