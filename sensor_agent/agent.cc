@@ -8,6 +8,7 @@
 #include "sensor_agent/interest/interest_file.h"
 #include "sensor_agent/uplink/store_file.h"
 #include "services/base/status_macros.h"
+#include "services/model/finding_digest.h"
 #include "services/ros2/discovery_info.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/log.h"
@@ -23,6 +24,8 @@ constexpr size_t kSamplesAtOnce = 4'096;
 constexpr int64_t kBusyIntervalNs = 2 * kNanosPerMilli;
 // Longest sleep; signals and replies wake it anyway.
 constexpr int64_t kIdleNs = kNanosPerSecond;
+// Since the start: as long as discovery and every grace may take.
+constexpr int64_t kFindingsConfirmNs = 60 * kNanosPerSecond;
 // How long a renewed discovery may take to tell everything that is there.
 constexpr int64_t kResyncNs = 2 * kNanosPerSecond;
 
@@ -209,7 +212,8 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
                        .attribution_grace_ns = grace_ns,
                        .settle_ns = settle_ns,
                        .limits = config.watch.graph_limits};
-  agent->graph_.emplace(std::move(options), clock->Now().boottime_ns);
+  agent->started_ns_ = clock->Now().boottime_ns;
+  agent->graph_.emplace(std::move(options), agent->started_ns_);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
   agent->findings_.emplace(FindingsOptions{.own = agent->domain_->own(),
                                            .secured = secured && !admits_strangers,
@@ -327,6 +331,7 @@ void Agent::Poll(int64_t now_ns) {
   PollSamples(now_ns, seen);
   PollFindings(now_ns, seen);
   PollWire(now_ns, seen);
+  SumFindings(now_ns, seen);
   CountLimits(now_ns, seen);
   uplink_->Append(std::move(seen));
 }
@@ -563,6 +568,24 @@ void Agent::RepeatFindings(int64_t now_ns, Observations& seen) {
   for (ControlObservation& finding : wire_->Standing(now_ns)) {
     seen.findings.push_back(std::move(finding));
   }
+}
+
+void Agent::SumFindings(int64_t now_ns, Observations& seen) {
+  FindingsTold told = findings_told_.value_or(FindingsTold());
+  if (!seen.findings.empty()) {
+    told.digest = 0;
+    for (const Finding& finding : findings_->Told()) told.digest += model::DigestOf(finding);
+    if (wire_ != nullptr) {
+      for (const ControlObservation& finding : wire_->Standing(now_ns)) {
+        told.digest += model::DigestOf(std::get<Finding>(finding.what));
+      }
+    }
+  }
+  told.all = now_ns >= started_ns_ + kFindingsConfirmNs && graph_->settled() &&
+             findings_->told_all() && (wire_ == nullptr || wire_->ToldAll(now_ns));
+  if (told == findings_told_) return;
+  findings_told_ = told;
+  seen.findings_told = told;
 }
 
 void Agent::PollWire(int64_t now_ns, Observations& seen) {

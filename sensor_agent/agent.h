@@ -95,6 +95,8 @@ class Agent {
   void PollSamples(int64_t now_ns, Observations& seen);
   void PollFindings(int64_t now_ns, Observations& seen);
   void PollWire(int64_t now_ns, Observations& seen);
+  // Says of those in `seen` and before which stand, and whether these are all.
+  void SumFindings(int64_t now_ns, Observations& seen);
   // Which writers are read, for the judgement of what is on the wire.
   void ReportReaders(int64_t now_ns);
   void CountLimits(int64_t now_ns, Observations& seen);
@@ -140,6 +142,8 @@ class Agent {
   std::optional<Findings> findings_;
   OwnParticipants own_;
   uint64_t findings_dropped_ = 0;
+  std::optional<FindingsTold> findings_told_;
+  int64_t started_ns_ = 0;  // CLOCK_BOOTTIME
   WatchOptions watch_;
   // A tap reports.
   bool wire_visible_ = false;

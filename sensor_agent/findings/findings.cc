@@ -564,7 +564,9 @@ void Findings::Tell(int64_t now_ns, std::vector<Finding>& told) {
 
 void Findings::ScheduleNext() {
   next_due_ns_ = strangers_due_ns_;
+  holds_untold_ = strangers_due_ns_ != kNever;
   for (const auto& [key, held] : held_) {
+    holds_untold_ = holds_untold_ || (!held.told && !held.gone);
     if (held.told || !CanBeTold(key)) continue;
     const int64_t due_ns = held.withheld ? windows_[key.kind].start_ns + kMinuteNs : held.due_ns;
     next_due_ns_ = std::min(next_due_ns_, due_ns);

@@ -75,8 +75,7 @@ struct FindingsOptions {
   int64_t orphan_claim_ns = 30'000'000'000;
   // Findings of one kind that are held, told or not. Further ones are counted in dropped().
   size_t findings_max = 256;
-  // Of one kind in a minute, first those that stand. What comes and goes beyond that becomes a
-  // number when the minute is over; what still stands then follows.
+  // Of one kind in a minute, those that stand first. Then the rest; of what has gone, the number.
   size_t told_per_minute = 30;
 };
 
@@ -88,8 +87,7 @@ class Findings {
   // A step of the graph, in order; a snapshot (from_version 0) with all its parts before the next
   // Poll. Snapshots that replace steps count, too.
   void OnGraph(const GraphChange& change, int64_t now_ns);
-  // As discovered, before the graph step that shows it: a client may come, call and leave within
-  // the burst that makes one step, and then the graph never shows it.
+  // As discovered, before the graph step that shows it, if one does: a client may be gone by then.
   void OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns);
   void OnEndpointGone(const ros2::Guid& endpoint);
   // What GraphBuilder::NodesClaimed said of a claim published by the endpoint `writer`.
@@ -107,11 +105,12 @@ class Findings {
   // Told and not over, for a server that has forgotten.
   std::vector<Finding> Told() const;
 
-  // Participants whose GUID says that they use DDS Security and that show nothing to us, who do
-  // not. As of the last Poll.
+  // Participants that use DDS Security and show nothing to us, who do not. As of the last Poll.
   size_t secured_strangers() const { return secured_strangers_; }
   // Findings that were not held because of the limit.
   uint64_t dropped() const { return dropped_; }
+  // Nothing waits for its grace, the server's word, room or another minute. As of the last Poll.
+  bool told_all() const { return !holds_untold_ && not_held_ == 0; }
   // The kinds that it tells, as Finding::kind.
   static absl::Span<const char* const> Kinds();
 
@@ -242,6 +241,7 @@ class Findings {
   // New ones in the Collect that is going on, of each kind.
   std::array<size_t, kKinds> fresh_ = {};
   size_t not_held_ = 0;
+  bool holds_untold_ = false;
   uint64_t dropped_ = 0;
 };
 

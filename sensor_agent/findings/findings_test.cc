@@ -548,8 +548,11 @@ TEST_F(FindingsTest, WhatStandsIsToldBeforeWhatHasLeft) {
   Step(RawReader(900, {"/scan"}));
   // Their time comes first; those beyond the rate are a number by then.
   EXPECT_THAT(After(4 * kSecond), SizeIs(10)) << "five began and ended";
+  EXPECT_FALSE(findings_->told_all()) << "one reads, and its grace is not over";
   EXPECT_THAT(After(2 * kSecond), IsEmpty());
+  EXPECT_FALSE(findings_->told_all()) << "the minute is full";
   const std::vector<Finding> told = After(59 * kSecond);
+  EXPECT_TRUE(findings_->told_all());
   ASSERT_THAT(told, SizeIs(3));
   EXPECT_EQ(told[0].detail, "35 more came and went within a minute");
   EXPECT_THAT(told[2], Begins("non_ros_reader", ParticipantGuid(900)));

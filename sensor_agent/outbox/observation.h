@@ -67,6 +67,14 @@ struct ControlObservation {
   model::ObservationOf<Loss> what;
 };
 
+// See model::SensorState.
+struct FindingsTold {
+  uint64_t digest = 0;
+  bool all = false;
+
+  friend bool operator==(const FindingsTold&, const FindingsTold&) = default;
+};
+
 }  // namespace rips::sensor
 
 #endif  // RIPS_SENSOR_AGENT_OUTBOX_OBSERVATION_H_

@@ -33,6 +33,11 @@ std::vector<std::string> SensorStatus::blind() const {
   return all;
 }
 
+void SensorStatus::OnHello() {
+  MarkReported();
+  findings_reported_.reset();
+}
+
 void SensorStatus::MarkReported() {
   not_visible_reported_ = not_visible_;
   blind_reported_ = blind();
@@ -52,11 +57,15 @@ std::optional<SensorState> SensorStatus::Poll(const Outbox& outbox, const Backlo
                     .oldest_unacked_ns = now_ns - OldestUnacked(outbox, kept).value_or(now_ns),
                     .spool_bytes = backlog.disk().bytes,
                     .not_visible = not_visible_,
-                    .blind = blind()};
+                    .blind = blind(),
+                    .findings_all_told = findings_ && findings_->all};
+  if (findings_) state.findings_digest = findings_->digest;
   const bool news = overloaded || was_overloaded || had_backlog_ || had_backlog ||
-                    not_visible_ != not_visible_reported_ || state.blind != blind_reported_;
+                    not_visible_ != not_visible_reported_ || state.blind != blind_reported_ ||
+                    findings_ != findings_reported_;
   if (!news) return std::nullopt;
   MarkReported();
+  findings_reported_ = findings_;
   return state;
 }
 

@@ -31,21 +31,27 @@ class SensorStatus {
   // No `reasons`: what `input` stands for is seen.
   void SetBlind(const std::string& input, std::vector<std::string> reasons);
 
+  void SetFindings(FindingsTold told) { findings_ = told; }
+
   const std::vector<std::string>& not_visible() const { return not_visible_; }
   // All reasons.
   std::vector<std::string> blind() const;
-  // A hello says these.
-  void MarkReported();
+  // One says the first two. The rest is news to each stream.
+  void OnHello();
 
   // What is to be reported now; nullopt = no news.
   std::optional<SensorState> Poll(const Outbox& outbox, const Backlog& backlog, int64_t now_ns);
 
  private:
+  void MarkReported();
+
   std::vector<std::string> not_visible_ = {kUnicastOnlyWriters, kServiceRequests, kSharedMemory};
   std::vector<std::string> not_visible_reported_;
   // By input; none is without a reason.
   std::map<std::string, std::vector<std::string>> blind_;
   std::vector<std::string> blind_reported_;
+  std::optional<FindingsTold> findings_;
+  std::optional<FindingsTold> findings_reported_;
   bool had_backlog_ = false;
   bool overloaded_ = false;
   // Messages and payloads.

@@ -64,6 +64,7 @@ struct UplinkCore::Handler {
     core.kept_.outbox.SetPrimary(in.primary);
     core.resume_.config = true;
     core.resume_.wants_snapshot |= in.want_snapshot;
+    if (in.want_findings) actions.list.emplace_back(ServerForgot{});
     core.FinishResume(now_ns, actions);
   }
   void operator()(CreditReceived& in) {
@@ -162,6 +163,7 @@ void UplinkCore::Append(Observations observations, int64_t now_ns, UplinkActions
   for (const std::string& signal : observations.signals) outbox.AddSignal(signal, now_ns);
   for (ControlObservation& alert : observations.ids_alerts) outbox.AddControl(std::move(alert));
   for (ControlObservation& finding : observations.findings) outbox.AddControl(std::move(finding));
+  if (observations.findings_told) status_.SetFindings(*observations.findings_told);
   if (observations.settled && !outbox.messages_released()) {
     outbox.ReleaseMessages();
     kept_.released_ns = now_ns;
@@ -184,7 +186,7 @@ void UplinkCore::BeginStream(std::string fresh_incarnation, UplinkActions& actio
   resume_ = {};
   heartbeat_.length_ns = look_.length_ns;
   phase_ = Phase::kResuming;
-  status_.MarkReported();
+  status_.OnHello();
   actions.list.emplace_back(SendHello{.incarnation = incarnation_,
                                       .incarnation_is_new = renew,
                                       .ranges = Announce(),

@@ -228,6 +228,38 @@ TEST_F(UplinkCoreTest, AServerThatForgotIsToldAnew) {
   EXPECT_THAT(Sent(), ElementsAre("c2+1")) << "a snapshot of what it had acknowledged";
 }
 
+TEST_F(UplinkCoreTest, FindingsAreToldAgainWhenAConfigAsksForThem) {
+  Settle();
+  On(StreamBegan{});
+  On(ConfigReceived{.primary = false, .want_findings = true});
+  On(CreditReceived{.message_bytes = 10'000});
+  Ack(Lane::kControl, 0);
+  Ack(Lane::kMessages, 0);
+  EXPECT_THAT(done_, ElementsAre("hello", "forgot", "resumed"));
+  done_.clear();
+  On(ConfigReceived{.primary = false});
+  EXPECT_THAT(done_, Not(Contains("forgot"))) << "it was asked once";
+}
+
+TEST_F(UplinkCoreTest, EachStreamIsToldWhichFindingsStand) {
+  const auto states = [this] {  // the graph is one observation more
+    Run(600);
+    return core_.outbox().NextSequence(Lane::kControl) - 2;
+  };
+  Settle();
+  Stream();
+  EXPECT_EQ(states(), 0u);
+  On(Observations{.findings_told = FindingsTold{.digest = 0, .all = false}});
+  EXPECT_EQ(states(), 1u) << "none stands";
+  EXPECT_EQ(states(), 1u) << "no news";
+  On(Observations{.findings_told = FindingsTold{.digest = 0, .all = true}});
+  EXPECT_EQ(states(), 2u);
+  Ack(Lane::kControl, 3);
+  On(StreamEnded{.status = absl::UnavailableError("gone")});
+  Stream(3, 0);
+  EXPECT_EQ(states(), 3u) << "the server may have been started anew";
+}
+
 TEST_F(UplinkCoreTest, AnIncarnationRefusedTwiceIsGivenUp) {
   Settle();
   for (int i = 0; i < 2; ++i) {

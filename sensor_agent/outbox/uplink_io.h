@@ -30,6 +30,8 @@ struct Observations {
   // With the time they were seen.
   std::vector<ControlObservation> ids_alerts;
   std::vector<ControlObservation> findings;
+  // As of these; none = as before.
+  std::optional<FindingsTold> findings_told;
   // The settled snapshot is among `graph`: messages may follow.
   bool settled = false;
 };
@@ -64,6 +66,7 @@ struct ConfigReceived {
   uint32_t heartbeat_ms = 0;
   bool primary = true;
   bool want_snapshot = false;
+  bool want_findings = false;
 };
 // Totals of the stream.
 struct CreditReceived {
@@ -186,8 +189,8 @@ struct CloseStream {
 };
 // WholeGraph should come soon: nothing is sent until then.
 struct WantGraph {};
-// The server has forgotten what it acknowledged: what stands should be appended again, but for the
-// graph.
+// The server has forgotten what it acknowledged, or asks for it: what stands should be appended
+// again, but for the graph.
 struct ServerForgot {};
 // These observations of the backlog are lost.
 struct BacklogLost {

@@ -328,7 +328,8 @@ void Uplink::OnConfig(const rips::v1::SensorConfig& config) {
                    .linger_ns = std::min(config.linger_ms(), kLingerMsMax) * kNanosPerMilli},
         .heartbeat_ms = config.heartbeat_ms(),
         .primary = config.primary(),
-        .want_snapshot = config.want_snapshot()});
+        .want_snapshot = config.want_snapshot(),
+        .want_findings = config.want_findings()});
   }
   hooks_.on_own_participants(OwnParticipants(config));
   if (hooks_.on_protected_parts) hooks_.on_protected_parts(ProtectedParts(config));

@@ -106,6 +106,7 @@ std::vector<sensor::ControlObservation> WireInput::Poll(const sensor::GraphBuild
   for (const Received& each : socket_->Take()) {
     if (each.connected) {
       watch_.TapChanged();
+      tap_changed_ns_ = now_ns;
       tap_counted_ = {};
       last_report_ns_ = 0;
     } else {
@@ -116,7 +117,7 @@ std::vector<sensor::ControlObservation> WireInput::Poll(const sensor::GraphBuild
   std::vector<sensor::ControlObservation> observations;
   const auto received = [&flow](const ros2::Guid& writer) { return flow.HighestSequence(writer); };
   for (sensor::Finding& finding : watch_.Poll(graph.settled(), received, now_ns)) {
-    if (const auto endpoint = graph.Find(finding.guid)) finding.node = endpoint->node;
+    SetNode(graph, finding);
     Log(finding.over ? LogLevel::kInfo : LogLevel::kWarning,
         finding.over ? "finding over" : "finding",
         {{"kind", finding.kind},
@@ -135,8 +136,25 @@ std::vector<sensor::ControlObservation> WireInput::Standing(int64_t now_ns) cons
   std::vector<sensor::ControlObservation> observations;
   for (const auto& [key, finding] : watch_.standing()) {
     observations.push_back({.boottime_ns = now_ns, .what = finding});
+    auto& named = std::get<sensor::Finding>(observations.back().what);
+    const auto node = nodes_.find({named.kind, named.guid});
+    if (node != nodes_.end()) named.node = node->second;
   }
   return observations;
+}
+
+void WireInput::SetNode(const sensor::GraphBuilder& graph, sensor::Finding& finding) {
+  std::pair<std::string, ros2::Guid> key(finding.kind, finding.guid);
+  if (finding.over) {
+    if (auto node = nodes_.extract(key)) finding.node = std::move(node.mapped());
+    return;
+  }
+  if (const auto endpoint = graph.Find(finding.guid)) finding.node = endpoint->node;
+  nodes_[std::move(key)] = finding.node;
+}
+
+bool WireInput::ToldAll(int64_t now_ns) const {
+  return !watch_.full() && (tap_changed_ns_ == 0 || now_ns >= tap_changed_ns_ + kTapSettleNs);
 }
 
 }  // namespace rips::wire

@@ -7,8 +7,10 @@
 #include <functional>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "absl/container/btree_map.h"
 #include "absl/status/statusor.h"
 #include "sensor_agent/dds/domain_watch.h"
 #include "sensor_agent/graph/graph_builder.h"
@@ -52,6 +54,9 @@ class WireInput {
                                                const sensor::MessageFlow& flow, int64_t now_ns);
   // Those that stand: for a server that has forgotten them.
   std::vector<sensor::ControlObservation> Standing(int64_t now_ns) const;
+  // No others may stand: there was room for them, and the tap has been there for long enough.
+  static constexpr int64_t kTapSettleNs = 20 * kNanosPerSecond;
+  bool ToldAll(int64_t now_ns) const;
   // A tap reports.
   bool visible(int64_t now_ns) const;
   // Why traffic is not seen that the tap should show, for people; empty = it is, or the tap has
@@ -63,6 +68,8 @@ class WireInput {
   WireInput(const WireInputOptions& options, Metrics* metrics);
 
   void TakeReport(const TapReport& report, int64_t now_ns);
+  // The node that it was told with, which is part of what makes it the same one.
+  void SetNode(const sensor::GraphBuilder& graph, sensor::Finding& finding);
   void CountLimits();
 
   Counter packets_;
@@ -76,6 +83,9 @@ class WireInput {
   TapCounters tap_counted_;
   uint64_t dropped_counted_ = 0;
   int64_t last_report_ns_ = 0;  // 0 = none of this tap yet
+  int64_t tap_changed_ns_ = 0;  // 0 = there was none
+  // Of those that stand, by kind and GUID.
+  absl::btree_map<std::pair<std::string, ros2::Guid>, std::string> nodes_;
   const std::string socket_path_;
   // No tap reports since then; 0 = one does, or nobody has asked yet.
   int64_t away_since_ns_ = 0;

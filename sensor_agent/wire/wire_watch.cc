@@ -381,7 +381,7 @@ std::vector<sensor::Finding> WireWatch::Tell(Findings found) {
   }
   for (auto& [key, finding] : found) {
     if (standing_.contains(key)) continue;
-    if (standing_.size() >= options_.findings) {
+    if (full()) {
       ++counters_.findings_dropped;
       continue;
     }

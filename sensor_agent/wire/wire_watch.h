@@ -111,6 +111,8 @@ class WireWatch {
   using FindingKey = std::pair<std::string, ros2::Guid>;
   using Findings = absl::btree_map<FindingKey, sensor::Finding>;
   const Findings& standing() const { return standing_; }
+  // Further ones are dropped.
+  bool full() const { return standing_.size() >= options_.findings; }
   const WatchCounters& counters() const { return counters_; }
   // A limit on what discovery shows was hit.
   bool blind() const { return blind_; }

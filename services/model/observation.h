@@ -9,6 +9,7 @@
 #define RIPS_SERVICES_MODEL_OBSERVATION_H_
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -52,6 +53,10 @@ struct SensorState {
   std::vector<std::string> not_visible;
   // Inputs that are configured and cannot be seen now, with the reason. On the server untrusted.
   std::vector<std::string> blind;
+  // The sum of DigestOf (finding_digest.h) of the findings that it has told and that stand, before
+  // this; none = of a version that does not say. And whether no others may stand.
+  std::optional<uint64_t> findings_digest = {};
+  bool findings_all_told = false;
 
   friend bool operator==(const SensorState&, const SensorState&) = default;
 };

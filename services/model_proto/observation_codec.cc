@@ -29,16 +29,22 @@ void Fill(const model::SensorState& state, rips::v1::SensorState& wire) {
   for (const std::string& kind : state.not_visible) wire.add_not_visible(kind);
   for (const std::string& reason : state.blind) wire.add_blind(reason);
   wire.set_spool_bytes(state.spool_bytes);
+  if (state.findings_digest) wire.set_findings_digest(*state.findings_digest);
+  wire.set_findings_all_told(state.findings_all_told);
 }
 
 model::SensorState From(const rips::v1::SensorState& wire) {
+  std::optional<uint64_t> digest;
+  if (wire.has_findings_digest()) digest = wire.findings_digest();
   return {.overloaded = wire.overloaded(),
           .outbox_bytes = wire.outbox_bytes(),
           .oldest_unacked_ns =
               static_cast<int64_t>(std::min(wire.oldest_unacked_ns(), wire_limits::kTimeMax)),
           .spool_bytes = wire.spool_bytes(),
           .not_visible = {wire.not_visible().begin(), wire.not_visible().end()},
-          .blind = {wire.blind().begin(), wire.blind().end()}};
+          .blind = {wire.blind().begin(), wire.blind().end()},
+          .findings_digest = digest,
+          .findings_all_told = wire.findings_all_told()};
 }
 
 void Fill(const model::IdsAlert& alert, rips::v1::IdsAlert& wire) {

@@ -96,6 +96,8 @@ class Player {
       case 4:
         Note(Expire(now_, state_), false);
         if (state_.halted()) state_.Resume();
+        state_.findings = StandingFindings(/*told_all=*/choices.Pick(2) == 0);
+        if (choices.Pick(2) == 0) state_.findings.Add("impostor");
         return;
       default:
         return Message(choices);

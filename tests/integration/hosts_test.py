@@ -4,6 +4,7 @@ stopped in order.
     hosts_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
 """
 
+import json
 import pathlib
 import signal
 import sys
@@ -29,14 +30,29 @@ rules Msg:
 """
 
 
+FINDING_RULES = """
+levels:
+  DEFAULT;
+  ALERT soft;
+  COMPROMISED;
+  HALT;
+rules External:
+  found: CurrLevel < ALERT && findingstands("impostor") ? trigger(ALERT);
+  calm: CurrLevel == ALERT && !findingstands("any") ? trigger(DEFAULT);
+  unused: false ? trigger(COMPROMISED), trigger(HALT);
+"""
+
+
 class TwoHosts(Fleet):
     """Robot `r1` with the hosts `base`, whose sensor is the primary one, and `laptop`."""
+
+    rules = RULES
 
     def prepare(self):
         self.bundle = "hosts"
         self.write("bundles/hosts/manifest.yaml",
                    "name: hosts\nrules: [r.rul]\nlevels: [DEFAULT, ALERT, COMPROMISED, HALT]\n")
-        self.write("bundles/hosts/r.rul", RULES)
+        self.write("bundles/hosts/r.rul", self.rules)
         super().prepare()
         self.mint("sensor", "r1", "laptop")
         self.mint("actuator", "r1", "laptop")
@@ -194,6 +210,46 @@ def four_processes_are_one_node_and_no_impostors(fleet):
     check(len(fleet.told("finding impostor")) == 1, f"{fleet.told('finding ')}")
 
 
+@may_lower(("rule calm", "ALERT", "DEFAULT"), ("rule calm", "ALERT", "DEFAULT"))
+def rules_leave_a_level_when_nothing_found_is_left(fleet):
+    """A rule raises the level while an impostor is there, and lowers it when no sensor finds
+    anything: not while one of them may find more, nor before a server that was started anew has
+    heard of what stands from both."""
+    fleet.rules = FINDING_RULES
+    started = time.monotonic()
+    fleet.arm()
+
+    def known():
+        return json.loads(fleet.ripsctl("--output", "json", "explain", "r1")[1])["findings"]
+
+    impostor = fleet.start_intruder("unknown-node", "--node", "/rips")
+    fleet.wait_level("ALERT", 30)
+    impostor.kill()
+    fleet.server.wait_for(lambda line: "no longer: finding impostor" in line, 30,
+                          "the end of the finding is on record")
+    now = known()
+    check(now["total"] == 0 and any("laptop" in why for why in now["not_known_because"]), f"{now}")
+    check(fleet.level()["decided_level"] == "ALERT", "lowered although more may be found")
+    fleet.wait_level("DEFAULT", 100)
+    check(time.monotonic() - started > 60, "lowered within a minute of the sensors' start")
+
+    impostor = fleet.start_intruder("unknown-node", "--node", "/rips")
+    fleet.wait_level("ALERT", 30)
+    fleet.server.kill(signal.SIGKILL)
+    fleet.server = fleet.start_server()
+    fleet.wait_level("ALERT", 40)
+    deadline = time.monotonic() + 30
+    now = known()
+    while now["not_known_because"]:
+        check(time.monotonic() < deadline, f"not all is known: {now}")
+        time.sleep(2)  # an operator may ask so often only
+        now = known()
+    check(now["total"] == 1, f"the impostor does not stand: {now}")
+    check(fleet.level()["decided_level"] == "ALERT", "lowered while it stands")
+    impostor.kill()
+    fleet.wait_level("DEFAULT", 60)
+
+
 def server_that_stops_grants_time(fleet):
     """SIGTERM grants the drain lease: the robot stays where it is for longer than a lease, and
     takes its fail-safe level when that time is over, too."""
@@ -225,6 +281,7 @@ def server_that_stops_grants_time(fleet):
 
 fleet_test.SCENARIOS = [verified_only_when_both_are, second_sensor_adds_what_its_host_sees,
                         four_processes_are_one_node_and_no_impostors,
+                        rules_leave_a_level_when_nothing_found_is_left,
                         server_that_stops_grants_time]
 KINDS = {server_that_stops_grants_time: ShortLeases}
 

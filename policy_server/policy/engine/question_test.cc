@@ -2,6 +2,8 @@
 #include <string>
 #include <vector>
 
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "gmock/gmock.h"
 #include "policy_server/policy/engine/test_rules.h"
 
@@ -239,6 +241,49 @@ TEST(UndecidableTest, QuestionsAboutTheGraphAreNotDecided) {
     EXPECT_EQ(robot.Message("/a").fired, 1u);
     EXPECT_EQ(robot.Message("/b").undecidable, 1u);
   }
+}
+
+TEST(UndecidableTest, AFindingStandsOrDoesNotOrThatIsNotKnown) {
+  const TypedExpr impostor = Call(Builtin::kFindingStands, Texts({"impostor"}));
+  const TypedExpr any = Call(Builtin::kFindingStands, Texts({"any"}));
+  StandingFindings claim(/*told_all=*/true);
+  claim.Add("false_claim");
+  StandingFindings some;
+  some.Add("impostor");
+  // Of rules that ask for it and that ask for the opposite: how many fire, and are not decided.
+  const auto ask = [](const TypedExpr& question, StandingFindings findings) {
+    TestRules rules;
+    rules.Tick("yes", question, {{Alert("x")}});
+    rules.Tick("no", Not(question), {{Alert("y")}});
+    TestRobot robot(rules);
+    robot.state.findings = findings;
+    const Outcome outcome = robot.Tick();
+    EXPECT_EQ(outcome.faults, 0u);
+    if (outcome.undecidable > 0) return absl::StrCat("not known: ", outcome.undecidable);
+    return absl::StrJoin(Lines(outcome, robot.state), " ");
+  };
+  EXPECT_EQ(ask(impostor, StandingFindings()), "not known: 2");
+  EXPECT_EQ(ask(any, StandingFindings()), "not known: 2");
+  EXPECT_EQ(ask(impostor, StandingFindings(true)), "alert no medium: y");
+  EXPECT_EQ(ask(any, StandingFindings(true)), "alert no medium: y");
+  EXPECT_EQ(ask(impostor, claim), "alert no medium: y");
+  EXPECT_EQ(ask(any, claim), "alert yes medium: x");
+  EXPECT_EQ(ask(impostor, some), "alert yes medium: x");
+  EXPECT_EQ(ask(any, some), "alert yes medium: x");
+  EXPECT_EQ(ask(Call(Builtin::kFindingStands, Texts({"false_claim"})), some), "not known: 2");
+}
+
+TEST(UndecidableTest, RulesOfEverySectionMayAskForStandingFindings) {
+  TestRules rules;
+  const TypedExpr any = Call(Builtin::kFindingStands, Texts({"any"}));
+  rules.Msg("message", any, {{Alert("x")}});
+  rules.Graph("graph", any, {{Alert("y")}});
+  TestRobot robot(rules);
+  robot.state.findings = StandingFindings(/*told_all=*/true);
+  EXPECT_EQ(robot.Message("/a").fired, 0u);
+  robot.state.findings.Add("impostor");
+  EXPECT_EQ(robot.Message("/a").fired, 1u);
+  EXPECT_EQ(robot.Graph().fired, 1u);
 }
 
 TEST(UndecidableTest, TypesAreThoseOfTheMessage) {

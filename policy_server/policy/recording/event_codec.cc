@@ -116,6 +116,10 @@ absl::StatusOr<Recorded> DecodeEvent(const rips::v1::RecordedEvent& wire) {
   Recorded event;
   if (wire.has_time_unix_ns()) event.time_unix_ns = wire.time_unix_ns();
   if (wire.has_blind()) event.blind = wire.blind();
+  if (wire.has_findings()) {
+    event.findings.emplace(wire.findings().told_all());
+    for (const std::string& kind : wire.findings().kinds()) event.findings->Add(kind);
+  }
   event.late = wire.late();
   if (wire.has_context()) {
     RIPS_ASSIGN_OR_RETURN(event.context, DecodeSnapshot(wire.context()));
@@ -182,6 +186,12 @@ rips::v1::RecordedEvent EncodeEvent(const Recorded& event) {
   if (event.time_unix_ns) wire.set_time_unix_ns(*event.time_unix_ns);
   if (event.context) EncodeSnapshot(*event.context, *wire.mutable_context());
   if (event.blind) wire.set_blind(*event.blind);
+  if (event.findings) {
+    wire.mutable_findings()->set_told_all(event.findings->told_all());
+    for (const absl::string_view kind : event.findings->Kinds()) {
+      wire.mutable_findings()->add_kinds(std::string(kind));
+    }
+  }
   wire.set_late(event.late);
   std::visit(Encoder{wire}, event.what);
   return wire;

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "absl/container/btree_map.h"
+#include "policy_server/policy/engine/state/standing_findings.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "services/model/event.h"
 #include "services/ros2/guid.h"
@@ -74,6 +75,8 @@ struct Recorded {
       what;
   // RIPS saw less than all of the robot: no rule may lower the level. None = not known.
   std::optional<bool> blind;
+  // Of which kinds findings stand. None = as at the event before; not known at the first one.
+  std::optional<engine::StandingFindings> findings = {};
   // Judged so late that it may not lower the level, nor run programs.
   bool late = false;
 };

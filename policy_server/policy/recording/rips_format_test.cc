@@ -81,6 +81,12 @@ std::vector<Recorded> Events() {
                     .what = RecordedLevel{.to = "HALT", .cause = "operator alice"},
                     .blind = true});
   events.push_back({.what = model::TickEvent{}, .blind = false, .late = true});
+  engine::StandingFindings standing(/*told_all=*/true);
+  events.push_back({.what = model::TickEvent{}, .findings = standing});
+  standing.Add("impostor");
+  standing.Add("of_a_later_version");
+  events.push_back({.what = model::TickEvent{}, .findings = standing});
+  events.push_back({.what = model::TickEvent{}, .findings = engine::StandingFindings()});
   for (size_t i = 0; i < events.size(); ++i) events[i].index = i;
   return events;
 }

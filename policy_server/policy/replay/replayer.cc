@@ -125,6 +125,7 @@ absl::Status Replayer::Judge(const Recorded& event) {
   SetTime(event.index, time_ns);
   times_.lateness = event.late ? levels::Lateness::kLate : levels::Lateness::kTimely;
   if (event.blind.has_value()) SetEvidence(!*event.blind);
+  if (event.findings.has_value()) SetFindings(*event.findings);
   if (event.context.has_value()) {
     if (const absl::Status taken = TakeGraph(*event.context); !taken.ok()) {
       return AtEvent(event.index, taken);

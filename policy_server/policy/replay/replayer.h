@@ -88,6 +88,8 @@ class Replayer {
   // An operator, who sees the current decision, raises or lowers the level. A transition of
   // kOperatorName; no rule runs on it.
   void Order(uint64_t event, int64_t time_ns, bool raise, levels::LevelIndex to);
+  // Not known at first.
+  void SetFindings(engine::StandingFindings findings) { state_.findings = findings; }
   // Complete at first. While it is not, soft lowerings are refused as blind.
   void SetEvidence(bool complete);
 

@@ -472,6 +472,22 @@ TEST(ReplayerTest, ExternalEventsAreAsRecorded) {
   EXPECT_EQ(result.events, (EventCounts{.external = 4}));
 }
 
+TEST(ReplayerTest, FindingsStandAsRecordedAndElseThatIsNotKnown) {
+  const auto program = MakeProgram(R"(
+    rules External:
+      yes: findingstands("impostor") ? alert("stands");
+      no: !findingstands("impostor") ? alert("does not");
+  )");
+  std::vector<Recorded> events(4, Event(model::SignalSeen{"SIGUSR1"}));
+  events[1].findings.emplace(/*told_all=*/true);
+  events[3].findings.emplace().Add("impostor");
+
+  const Result result = Replayed(program, events);
+
+  EXPECT_THAT(Alerts(result), ElementsAre("1 no does not", "2 no does not", "3 yes stands"));
+  EXPECT_EQ(result.events.undecidable, 1u);
+}
+
 TEST(ReplayerTest, LossesCountInTheWindowsAsTheyDidOnTheRobot) {
   const auto program = MakeProgram(R"(
     rules Msg:

@@ -136,7 +136,7 @@ class EventReader {
   std::string ReadPayload(const ConfigSection& section);
   model::IdsAlert ReadIds(const ConfigSection& section);
   model::AgentEvent ReadAgent(const ConfigSection& section);
-  model::Finding ReadFinding(const ConfigSection& section);
+  std::string ReadFinding(const ConfigSection& section, absl::string_view key);
   model::Loss ReadLoss(const ConfigSection& section, uint64_t count);
 
   const std::string& folder_;  // Not owned; outlives this.
@@ -144,9 +144,9 @@ class EventReader {
 };
 
 TestEvent EventReader::Read(const ConfigSection& section) {
-  constexpr absl::string_view kKinds[] = {"graph",   "message",  "ids",     "signal",
-                                          "agent",   "finding",  "lost",    "tick",
-                                          "wait_ms", "operator", "evidence"};
+  constexpr absl::string_view kKinds[] = {"graph",   "message",  "ids",      "signal",
+                                          "agent",   "finding",  "lost",     "tick",
+                                          "wait_ms", "operator", "evidence", "finding_over"};
   TestEvent event{.line = section.LineOf("")};
   const auto has = [&](absl::string_view kind) { return Ask(section, kind); };
   if (std::count_if(std::begin(kKinds), std::end(kKinds), has) != 1) {
@@ -157,7 +157,8 @@ TestEvent EventReader::Read(const ConfigSection& section) {
   if (has("message")) ReadMessage(section.RequiredSection("message"), event);
   if (has("ids")) event.what = ReadIds(section.RequiredSection("ids"));
   if (has("agent")) event.what = ReadAgent(section);
-  if (has("finding")) event.what = ReadFinding(section);
+  if (has("finding")) event.what = model::Finding{.kind = ReadFinding(section, "finding")};
+  if (has("finding_over")) event.what = FindingOverSpec{ReadFinding(section, "finding_over")};
   if (has("signal")) {
     std::string name;
     section.RequiredEnum<std::string>("signal", &name,
@@ -304,15 +305,14 @@ model::AgentEvent EventReader::ReadAgent(const ConfigSection& section) {
   return {.agent = words[0], .state = words[1]};
 }
 
-model::Finding EventReader::ReadFinding(const ConfigSection& section) {
-  model::Finding finding;
-  section.Required("finding", &finding.kind);
+std::string EventReader::ReadFinding(const ConfigSection& section, absl::string_view key) {
+  std::string kind;
+  section.Required(key, &kind);
   const auto kinds = lang::SignatureOf(lang::Builtin::kFinding).parameters[0].words;
-  if (!finding.kind.empty() && !Among(kinds, finding.kind)) {
-    section.Problem("finding",
-                    absl::StrCat("`", finding.kind, "` is no finding; write ", Choices(kinds)));
+  if (!kind.empty() && !Among(kinds, kind)) {
+    section.Problem(key, absl::StrCat("`", kind, "` is no finding; write ", Choices(kinds)));
   }
-  return finding;
+  return kind;
 }
 
 RuleTest ReadTest(const ConfigSection& section, const std::string& folder) {

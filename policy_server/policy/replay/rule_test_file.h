@@ -13,7 +13,8 @@
 //       variables: {stranger: true}         a level's name stands for its position
 //       exec_fail: [usb_alarm]    programs whose runs fail
 //       trigger_fail: [HALT]      levels that the robot does not reach
-//       evidence: incomplete      or complete, as it is unless said: may soft levels be lowered?
+//       evidence: incomplete      or complete, as it is unless said: may soft levels be lowered,
+//                                 and have the sensors told of all findings?
 //       events:                   each is one of the following, and may have an `expect`
 //         - graph:                the graph is this and nothing else
 //             nodes: [/camera, /base]             a name twice is two nodes
@@ -25,7 +26,8 @@
 //         - ids: {gid: 1, sid: 2001, message: "...", source: 10.0.0.9, target: 10.0.0.2}
 //         - signal: SIGUSR1
 //         - agent: [sensor, lost]
-//         - finding: impostor
+//         - finding: impostor                      it stands until
+//         - finding_over: impostor                  as many are over, which is no event for rules
 //         - lost: 12
 //         - tick: {repeat: 5, every_ms: 200}
 //         - operator: {lower: DEFAULT}               or raise: a level; with `approved: true`, a
@@ -123,11 +125,15 @@ struct OrderSpec {
 struct EvidenceSpec {
   bool complete = true;
 };
+// A finding of that kind is over. No event for rules.
+struct FindingOverSpec {
+  std::string kind;
+};
 
 struct TestEvent {
   int line = 0;
   std::variant<recording::RecordedMessage, recording::RecordedGraph, model::ExternalEvent, TickSpec,
-               WaitSpec, OrderSpec, EvidenceSpec>
+               WaitSpec, OrderSpec, EvidenceSpec, FindingOverSpec>
       what;
   int64_t repeat = 1;
   // From one to the next.

@@ -2,6 +2,9 @@
 
 #include <algorithm>
 #include <optional>
+#include <set>
+#include <string>
+#include <type_traits>
 #include <utility>
 
 #include "absl/strings/numbers.h"
@@ -225,6 +228,7 @@ class Runner {
         session_(rules.NewSession()),
         replayer_(rules.program, Options(file, test, rules), session_.get()) {
     replayer_.SetEvidence(evidence_complete_);
+    TellFindings();
     Values values;
     for (const auto& [name, text] : test.variables) values[name] = *ParseAs(name, text.text);
     replayer_.SetVariables(values);
@@ -311,9 +315,24 @@ class Runner {
   absl::Status HappenOnce(size_t, const EvidenceSpec& evidence) {
     if (evidence.complete && evidence_complete_) return absl::OkStatus();
     evidence_complete_ = evidence.complete;
+    TellFindings();
     held_at_ns_ = time_ns_ + set_.soft_hold_ns;
     replayer_.SetEvidence(evidence.complete && set_.soft_hold_ns == 0);
     return absl::OkStatus();
+  }
+  absl::Status HappenOnce(size_t, const FindingOverSpec& over) {
+    const auto found = findings_.find(over.kind);
+    if (found == findings_.end()) {
+      return absl::InvalidArgumentError(absl::StrCat("no finding `", over.kind, "` stands"));
+    }
+    findings_.erase(found);
+    TellFindings();
+    return absl::OkStatus();
+  }
+  void TellFindings() {
+    engine::StandingFindings standing(/*told_all=*/evidence_complete_);
+    for (const std::string& kind : findings_) standing.Add(kind);
+    replayer_.SetFindings(standing);
   }
   // Rules may lower again once the evidence has been complete for the bundle's soft_hold.
   void UpdateEvidence() {
@@ -344,6 +363,12 @@ class Runner {
   template <typename What>
   absl::Status HappenOnce(size_t index, const What& what) {
     UpdateEvidence();
+    if constexpr (std::is_same_v<What, model::ExternalEvent>) {
+      if (const auto* finding = std::get_if<model::Finding>(&what)) {
+        findings_.insert(finding->kind);
+        TellFindings();
+      }
+    }
     recording::Recorded recorded{.index = index, .time_unix_ns = time_ns_};
     recorded.what = what;
     return replayer_.Judge(recorded);
@@ -446,6 +471,8 @@ class Runner {
   // Rules that an inspection could not tell.
   const bool fires_unscanned_;
   bool evidence_complete_;
+  // Kinds of those that stand.
+  std::multiset<std::string> findings_;
   // When evidence that is complete has been so for long enough.
   int64_t held_at_ns_ = 0;
   const std::unique_ptr<inspect::Session> session_;

@@ -1,6 +1,7 @@
 #include "policy_server/server/flight/flight_codec.h"
 
 #include <cstddef>
+#include <optional>
 #include <utility>
 #include <variant>
 
@@ -24,8 +25,10 @@ class Events {
   recording::Recorded Next() {
     const size_t index = next_++;
     const FlightEvent& event = piece_.events[index];
-    recording::Recorded out{
-        .time_unix_ns = event.time_unix_ns, .blind = event.blind, .late = event.late};
+    recording::Recorded out{.time_unix_ns = event.time_unix_ns,
+                            .blind = event.blind,
+                            .findings = event.findings,
+                            .late = event.late};
     if (context_ != piece_.contexts.end() && context_->event == index) {
       out.context = WholeGraph(*context_++->graph);
     }
@@ -43,7 +46,10 @@ class Events {
                             out.what = recording::RecordedGraph{.content = *delta, .settled = true};
                           },
                           [&](const model::ExternalEvent& external) { out.what = external; },
-                          [&](const pipeline::LevelChange& level) { out.what = LevelOf(level); }},
+                          [&](const pipeline::LevelChange& level) {
+                            out.findings.reset();
+                            out.what = LevelOf(level);
+                          }},
                other.what);
   }
 
@@ -73,11 +79,17 @@ absl::StatusOr<std::string> EncodeFlight(const recording::RecordedOrigin& origin
   RIPS_ASSIGN_OR_RETURN(std::string bytes, recording::EncodeStart(origin));
   const pipeline::RulesState& start = flight.front()->state;
   bool first = true;
+  std::optional<engine::StandingFindings> findings;
   for (const std::shared_ptr<const FlightPiece>& piece : flight) {
     for (Events events(*piece); !events.done();) {
       recording::Recorded recorded = events.Next();
       if (std::exchange(first, false) && start.settled && !recorded.context) {
         recorded.context = WholeGraph(*start.graph);
+      }
+      if (recorded.findings == findings) {
+        recorded.findings.reset();
+      } else if (recorded.findings) {
+        findings = recorded.findings;
       }
       absl::StatusOr<std::string> frame = recording::EncodeFrame(recorded);
       if (!frame.ok()) {

@@ -161,6 +161,7 @@ void FlightRing::Add(const pipeline::JudgedEvent& judged) {
   const engine::Event& of = judged.event;
   // Written in place: a copy of what was just written makes the processor wait.
   FlightEvent& event = AddEvent(of.time_unix_ns);
+  event.findings = judged.findings;
   event.blind = judged.blind;
   event.late = of.lateness == levels::Lateness::kLate;
   if (const auto* message = std::get_if<engine::MessageEvent>(&of.what)) {

@@ -40,6 +40,7 @@ struct FlightEvent {
   const std::string* sender = nullptr;
   // As JudgedEvent::payload_bytes_max; the largest is all of it.
   uint32_t payload_bytes_max = UINT32_MAX;
+  engine::StandingFindings findings;
   bool blind = false;
   bool late = false;
 };

@@ -31,7 +31,10 @@ recording::Recorded EventConverter::Convert(const pipeline::JudgedEvent& judged,
                                             size_t payload_bytes_max) {
   recording::Recorded out{.time_unix_ns = judged.event.time_unix_ns,
                           .blind = judged.blind,
+                          .findings = judged.findings,
                           .late = judged.event.lateness == levels::Lateness::kLate};
+  if (findings_ == out.findings) out.findings.reset();
+  findings_ = judged.findings;
   const bool whole = std::exchange(context_due_, false);
   std::visit(Overloaded{[&](const engine::MessageEvent& message) {
                           out.what = MessageOf(*judged.message, std::string(message.sender),

@@ -32,13 +32,18 @@ class EventConverter {
   recording::Recorded Convert(const pipeline::JudgedEvent& judged, size_t payload_bytes_max);
   recording::Recorded Convert(const pipeline::LevelChange& level);
   // What the events so far have led to is not known: the next one has its whole graph.
-  void Forget() { context_due_ = true; }
+  void Forget() {
+    context_due_ = true;
+    findings_.reset();
+  }
 
  private:
   // That the events so far have led to.
   std::shared_ptr<const ros2::RosGraph> graph_;
   // The next event has all of its graph.
   bool context_due_;
+  // Of the event before.
+  std::optional<engine::StandingFindings> findings_;
 };
 
 }  // namespace rips::flight

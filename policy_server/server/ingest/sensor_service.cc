@@ -77,6 +77,7 @@ class Link final : public pipeline::SensorLink {
     config->set_batch_bytes(setup.batch_bytes);
     config->set_primary(setup.primary);
     config->set_want_snapshot(setup.want_snapshot);
+    config->set_want_findings(setup.want_findings);
     if (!setup.store.generation.empty()) {
       config->mutable_store()->set_generation(setup.store.generation);
       config->mutable_store()->set_commit(setup.store.commit);

@@ -7,6 +7,7 @@
 #include "gmock/gmock.h"
 #include "policy_server/server/operator_api/answer_limits.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "policy_server/server/robot/told_findings.h"
 
 namespace rips::operator_api {
 namespace {
@@ -63,7 +64,7 @@ TEST_F(CoverageCodecTest, InBriefSaysWhatStandsOfWhomAndWhatIsNotKnown) {
   EXPECT_EQ(now.newest(0).subjects(0).host(), "lab-pc");
   EXPECT_EQ(now.newest(0).subjects(0).pid(), 4'711u);
   EXPECT_EQ(now.newest(0).subjects(0).address(), "10.0.0.66");
-  EXPECT_THAT(now.not_known(), ElementsAre(HasSubstr("may not have reported all yet")));
+  EXPECT_THAT(now.not_known(), ElementsAre(HasSubstr("has not said yet which findings stand")));
 
   request.set_findings_only(false);
   const rips::v1::GetCoverageResponse all = Ask(request);
@@ -95,7 +96,8 @@ TEST_F(CoverageCodecTest, SaysOfAFindingWhetherItStands) {
   FindingSeen over = Reader("/map");
   over.over = true;
   Report(over);
-  Pass(61'000);
+  Pass(1'000);
+  SendBatch(Lane::kControl, {{.what = ToldFindings(*robot_)}});
   EXPECT_EQ(Ask(request).finding_state().state(), "ended");
   EXPECT_EQ(Ask(request).finding_state().ended_unix_ns(), ended);
   EXPECT_EQ(Ask(request).finding_state().not_known_size(), 0);
@@ -127,9 +129,9 @@ TEST_F(CoverageCodecTest, AListedRobotHasTheNumberOfItsFindings) {
   EXPECT_TRUE(EncodeListed(*robot_).has_findings());
   EXPECT_TRUE(EncodeListed(*robot_).findings_not_known());
   Arm();
-  Pass(61'000);
   Report(Reader("/a"));
   Report(Reader("/b"));
+  SendBatch(Lane::kControl, {{.what = ToldFindings(*robot_)}});
   const rips::v1::RobotStatus status = EncodeListed(*robot_);
   EXPECT_EQ(status.robot(), "r1");
   EXPECT_EQ(status.findings(), 2u);

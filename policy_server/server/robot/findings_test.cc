@@ -1,8 +1,15 @@
+#include <initializer_list>
+#include <optional>
+#include <string>
+#include <vector>
+
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/server/robot/robot_fixture.h"
 #include "policy_server/server/robot/sight/finding_registry.h"
+#include "policy_server/server/robot/told_findings.h"
+#include "services/model/finding_digest.h"
 
 namespace rips::pipeline {
 namespace {
@@ -27,8 +34,8 @@ FindingSeen Over(FindingSeen seen) {
 
 TEST(FindingsBookTest, IsNewsOnceUntilNobodySaysSo) {
   FindingRegistry book;
-  book.OnIncarnation("base", "i1", 0);
-  book.OnIncarnation("laptop", "j1", 0);
+  book.OnHello("base", "i1", 0);
+  book.OnHello("laptop", "j1", 0);
   EXPECT_EQ(book.Apply("base", "i1", Impostor(1), 0), News::kBegins);
   EXPECT_EQ(book.Apply("base", "i1", Impostor(1), 0), News::kKnown);
   EXPECT_EQ(book.Apply("laptop", "j1", Impostor(1), 0), News::kKnown);
@@ -45,13 +52,13 @@ TEST(FindingsBookTest, IsNewsOnceUntilNobodySaysSo) {
 
 TEST(FindingsBookTest, SensorThatWasStartedAgainMustTellItAgain) {
   FindingRegistry book({.confirm_ns = 100});
-  book.OnIncarnation("base", "i1", 0);
+  book.OnHello("base", "i1", 0);
   book.Apply("base", "i1", Impostor(1), 0);
   book.Apply("base", "i1", Impostor(2), 0);
-  book.OnIncarnation("base", "i1", 5);
+  book.OnHello("base", "i1", 5);
   EXPECT_THAT(book.Expire(1'000), IsEmpty()) << "a reconnect is no restart";
 
-  book.OnIncarnation("base", "i2", 1'000);
+  book.OnHello("base", "i2", 1'000);
   EXPECT_EQ(book.Apply("base", "i2", Impostor(2), 1'050), News::kKnown);
   EXPECT_THAT(book.Expire(1'099), IsEmpty());
   const std::vector<FindingRegistry::Entry> gone = book.Expire(1'100);
@@ -76,34 +83,119 @@ TEST(FindingsBookTest, PastTheLimitFindingsAreNotKept) {
   EXPECT_EQ(book.Apply("base", "i", Impostor(3), 0), News::kBegins);
 }
 
-TEST(FindingsBookTest, KnowsWhetherASensorHasToldAll) {
-  FindingRegistry book({.standing = 1, .confirm_ns = 100});
-  EXPECT_EQ(book.NotToldAll("base", 0), "has not connected since the server's start");
-  book.OnIncarnation("base", "i1", 1'000);
-  EXPECT_EQ(book.NotToldAll("base", 1'099),
-            "has connected a moment ago and may not have reported all yet");
-  EXPECT_EQ(book.NotToldAll("base", 1'100), "");
-  book.OnIncarnation("base", "i1", 2'000, false);
-  EXPECT_EQ(book.NotToldAll("base", 2'000), "") << "a reconnect takes nothing back";
-  book.OnIncarnation("laptop", "j1", 2'000, false);
-  EXPECT_EQ(book.NotToldAll("laptop", 9'000),
-            "has not repeated its findings since the server's start");
-  book.OnIncarnation("laptop", "j1", 9'000, true);
-  EXPECT_EQ(book.NotToldAll("laptop", 9'100), "");
+uint64_t DigestOf(std::initializer_list<FindingSeen> findings) {
+  uint64_t sum = 0;
+  for (const FindingSeen& finding : findings) sum += model::DigestOf(finding);
+  return sum;
+}
 
-  book.Apply("base", "i1", Impostor(1), 10'000);
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 10'000), News::kTooMany);
-  EXPECT_EQ(book.NotToldAll("base", 10'000), "has reported more findings than the 1 that are kept");
-  book.Apply("base", "i1", Over(Impostor(1)), 10'000);
-  EXPECT_NE(book.NotToldAll("base", 10'000), "") << "the other one may stand";
-  EXPECT_EQ(book.NotToldAll("laptop", 10'000), "");
-  book.OnIncarnation("base", "i2", 10'000);
-  EXPECT_EQ(book.NotToldAll("base", 10'100), "");
+TEST(FindingsBookTest, ASensorHasToldAllWhenItSaysSoOfWhatStandsHere) {
+  FindingRegistry book;
+  EXPECT_EQ(book.NotToldAll("base"), "has not said yet which findings stand");
+  book.OnHello("base", "i1", 1'000);
+  EXPECT_EQ(book.NotToldAll("base"), "has not said yet which findings stand");
+  book.OnState("base", std::nullopt, false);
+  EXPECT_EQ(book.NotToldAll("base"), "is of a version that does not say which findings stand");
+  book.OnState("base", 0, false);
+  EXPECT_THAT(book.NotToldAll("base"), HasSubstr("may find more"));
+  book.OnState("base", 0, true);
+  EXPECT_EQ(book.NotToldAll("base"), "");
+  book.Apply("base", "i1", Impostor(1), 2'000);
+  EXPECT_EQ(book.NotToldAll("base"), "has not confirmed yet what it has reported last");
+  book.OnState("base", DigestOf({Impostor(1)}), true);
+  EXPECT_EQ(book.NotToldAll("base"), "");
+  book.Apply("base", "i1", Over(Impostor(1)), 3'000);
+  EXPECT_NE(book.NotToldAll("base"), "");
+  book.OnState("base", 0, true);
+  EXPECT_EQ(book.NotToldAll("base"), "");
+  book.OnHello("base", "i1", 4'000);
+  EXPECT_NE(book.NotToldAll("base"), "") << "in each session anew";
+}
+
+TEST(FindingsBookTest, ASensorThatFindsSomethingElseIsAskedAndWhatItDoesNotRepeatEnds) {
+  FindingRegistry book({.confirm_ns = 60 * kNanosPerSecond});
+  const auto at = [](int64_t seconds) { return seconds * kNanosPerSecond; };
+  book.OnHello("base", "i1", at(1));
+  book.OnHello("laptop", "j1", at(1));
+  book.Apply("base", "i1", Impostor(1), at(1));
+  book.Apply("laptop", "j1", Impostor(1), at(1));
+  book.Apply("base", "i1", Impostor(2), at(1));
+  // The end of the second one was lost, and the begin of a third.
+  book.OnState("base", DigestOf({Impostor(1), Impostor(3)}), true);
+  EXPECT_FALSE(book.Ask("base", at(2)));
+  EXPECT_FALSE(book.Ask("base", at(6))) << "its next state may be on its way";
+  EXPECT_EQ(book.NotToldAll("base"), "has not confirmed yet what it has reported last");
+  EXPECT_TRUE(book.Ask("base", at(7)));
+  EXPECT_THAT(book.NotToldAll("base"), HasSubstr("is asked to report all again"));
+  EXPECT_FALSE(book.Ask("base", at(66))) << "at most once a minute";
+  book.Apply("base", "i1", Impostor(1), at(8));
+  book.Apply("base", "i1", Impostor(3), at(8));
+  EXPECT_NE(book.NotToldAll("base"), "");
+  ASSERT_THAT(book.Expire(at(67)), SizeIs(1));
+  EXPECT_EQ(book.NotToldAll("base"), "");
+  EXPECT_FALSE(book.Ask("base", at(100)));
+  EXPECT_THAT(book.standing(), SizeIs(2));
+}
+
+TEST(FindingsBookTest, AnOldEndDoesNotPassForANewOne) {
+  FindingRegistry book;
+  book.OnHello("base", "i2", 0);
+  book.Apply("base", "i2", Impostor(1), 0);
+  book.OnState("base", DigestOf({Impostor(1)}), true);
+  // Of an older incarnation, from the spool.
+  book.Apply("base", "i1", Over(Impostor(1)), 1);
+  EXPECT_THAT(book.standing(), IsEmpty());
+  EXPECT_NE(book.NotToldAll("base"), "");
+  EXPECT_FALSE(book.Ask("base", kNanosPerSecond));
+  EXPECT_TRUE(book.Ask("base", 6 * kNanosPerSecond));
+}
+
+TEST(FindingsBookTest, PastTheLimitNotAllIsTold) {
+  FindingRegistry book({.standing = 1});
+  book.OnHello("base", "i1", 0);
+  book.Apply("base", "i1", Impostor(1), 0);
+  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 0), News::kTooMany);
+  book.OnState("base", DigestOf({Impostor(1), Impostor(2)}), true);
+  EXPECT_EQ(book.NotToldAll("base"), "has reported more findings than the 1 that are kept");
+  EXPECT_FALSE(book.Ask("base", kNanosPerSecond));
+  EXPECT_FALSE(book.Ask("base", 10 * kNanosPerSecond)) << "in vain";
+  book.Apply("base", "i1", Over(Impostor(1)), 10 * kNanosPerSecond);
+  EXPECT_NE(book.NotToldAll("base"), "") << "the other one stands";
+  EXPECT_TRUE(book.Ask("base", 20 * kNanosPerSecond));
+}
+
+TEST(FindingsBookTest, WhatASensorSaidThatIsNotListedAnyMoreEnds) {
+  FindingRegistry book;
+  for (const char* host : {"base", "laptop"}) book.OnHello(host, "i1", 0);
+  book.Apply("base", "i1", Impostor(1), 0);
+  book.Apply("laptop", "i1", Impostor(1), 0);
+  book.Apply("laptop", "i1", Impostor(2), 0);
+  book.KeepOnly([](const std::string& host) { return host == "base"; }, 5);
+  EXPECT_THAT(book.Expire(5), SizeIs(1));
+  ASSERT_THAT(book.standing(), SizeIs(1));
+  EXPECT_EQ(book.standing()[0].guid, Impostor(1).guid);
+  book.OnHello("laptop", "i1", 6);
+  book.OnState("laptop", 0, true);
+  EXPECT_EQ(book.NotToldAll("laptop"), "") << "listed again, it has told nothing";
+}
+
+TEST(FindingsBookTest, KindsStandUntilTheirLastFindingEnds) {
+  FindingRegistry book;
+  EXPECT_FALSE(book.HasKind("impostor"));
+  book.Apply("base", "i1", Impostor(1), 0);
+  book.Apply("base", "i1", Impostor(2), 0);
+  book.Apply("base", "i1", {.kind = "impostors"}, 0);
+  book.Apply("base", "i1", Over(Impostor(1)), 0);
+  EXPECT_TRUE(book.HasKind("impostor"));
+  book.Apply("base", "i1", Over(Impostor(2)), 0);
+  EXPECT_FALSE(book.HasKind("impostor"));
+  EXPECT_TRUE(book.HasKind("impostors"));
+  EXPECT_FALSE(book.HasKind(""));
 }
 
 TEST(FindingsBookTest, RemembersTheLatestEnds) {
   FindingRegistry book({.ended = 2});
-  book.OnIncarnation("base", "i1", 0);
+  book.OnHello("base", "i1", 0);
   book.Apply("base", "i1", Impostor(1), 0);
   book.Find(FindingRegistry::KeyOf(Impostor(1)))->named = true;
   book.Apply("base", "i1", Over(Impostor(1)), 5);
@@ -133,6 +225,9 @@ rules External:
 class RobotFindingsTest : public RobotTest {
  protected:
   void Tell(FindingSeen finding) { SendBatch(Lane::kControl, {{.what = std::move(finding)}}); }
+  void SayFindings(bool all_told = true) {
+    SendBatch(Lane::kControl, {{.what = ToldFindings(*robot_, all_told)}});
+  }
 };
 
 TEST_F(RobotFindingsTest, IsAnAlertAndAnEventOnceAndARecordWhenItIsOver) {
@@ -236,6 +331,7 @@ TEST_F(RobotFindingsTest, SummaryNamesOneThatStandsAmongThoseThatHaveGone) {
     Tell(reader(i));
     if (i != 33) Tell(Over(reader(i)));
   }
+  SayFindings();
   Pass(2'000);
   EXPECT_EQ(audience_.Count("finding non_ros_reader, topic /t33"), 0) << "folded away";
   EXPECT_EQ(audience_.Count("finding ended: "), 0) << "of those that no alert names";
@@ -290,6 +386,7 @@ TEST_F(RobotFindingsTest, SummarySaysThatNoneStands) {
     Tell(finding);
     Tell(Over(finding));
   }
+  SayFindings();
   Pass(61'000);
   EXPECT_EQ(audience_.Count("30 more findings non_ros_reader began within 1 s, merged into this "
                             "alert; none of them stands now; "),
@@ -325,15 +422,14 @@ TEST_F(RobotFindingsTest, StateOfAFindingIsToldOnlyAsFarAsItIsKnown) {
   EXPECT_THAT(findings.NotKnown(), ElementsAre("sensor base is not connected"));
   EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kNotKnown);
   Arm();
-  EXPECT_THAT(
-      findings.NotKnown(),
-      ElementsAre("sensor base has connected a moment ago and may not have reported all yet"));
+  EXPECT_THAT(findings.NotKnown(),
+              ElementsAre("sensor base has not said yet which findings stand"));
   EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kNotKnown);
   Tell(Impostor(1));
   EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kStands);
   EXPECT_EQ(findings.StateOf(Impostor(1)).since_unix_ns, clock_.Now().unix_ns);
   EXPECT_EQ(findings.StateOf(Impostor(2)).state, State::kNotKnown);
-  Pass(60'000);
+  SayFindings();
   EXPECT_THAT(findings.NotKnown(), IsEmpty());
   EXPECT_EQ(findings.StateOf(Impostor(2)).state, State::kEnded);
   EXPECT_EQ(findings.StateOf(Impostor(2)).ended_unix_ns, 0) << "not seen";
@@ -341,6 +437,7 @@ TEST_F(RobotFindingsTest, StateOfAFindingIsToldOnlyAsFarAsItIsKnown) {
   const int64_t ended = clock_.Now().unix_ns;
   Tell(Over(Impostor(1)));
   Pass(1'000);
+  SayFindings();
   EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kEnded);
   EXPECT_EQ(findings.StateOf(Impostor(1)).ended_unix_ns, ended);
   EXPECT_THAT(reasons(Impostor(1)), IsEmpty());
@@ -363,7 +460,8 @@ TEST_F(RobotFindingsTest, StateOfAFindingIsToldOnlyAsFarAsItIsKnown) {
   Pass(61'000);
   EXPECT_EQ(findings.StateOf(Impostor(3)).state, State::kEnded);
   EXPECT_GT(findings.StateOf(Impostor(3)).ended_unix_ns, 0);
-  EXPECT_THAT(reasons(Impostor(3)), ElementsAre("the graph of sensor base has not settled"));
+  EXPECT_THAT(reasons(Impostor(3)),
+              ElementsAre("sensor base has not said yet which findings stand"));
   EXPECT_EQ(
       audience_.Count("finding ended, as its restarted sensor did not report it again: impostor"),
       1);
@@ -384,35 +482,168 @@ TEST_F(RobotFindingsTest, ASilentSensorOrABacklogIsNotTheLatestWord) {
   EXPECT_THAT(findings.NotKnown(), ElementsAre("observations of sensor base are not judged yet"));
 }
 
-TEST_F(RobotFindingsTest, OfAServerThatWasRestartedASensorThatIsNotAskedHasNotToldAll) {
+TEST_F(RobotFindingsTest, OfAServerThatWasRestartedASensorIsAskedIfItHasToldMore) {
   sensor_hosts_ = {"base", "laptop"};
-  store::RobotRecord record{.level = "DEFAULT", .decision_id = {.term = 1, .epoch = 1}};
-  for (const char* host : {"base", "laptop"}) {
-    record.high_water[{.host = host,
-                       .incarnation = "30313233343536373839616263646566",
-                       .lane = store::LaneKey::Lane::kControl}] = 7;
-  }
-  Start(kRules, record);
+  Start(kRules);
   const auto laptop = std::make_shared<FakeSensor>();
-  ConnectSensor();
+  Arm();
   robot_->OnSensorHello("laptop", laptop, {.incarnation = kIncarnation, .clock = clock_.Now()});
-  next_sequence_[static_cast<int>(Lane::kControl)] = 8;
-  SendSnapshot();
-  for (int i = 0; i < 62; ++i) {
-    robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
-    Pass(1'000);
-  }
-  robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
-  EXPECT_TRUE(sensor_->setup.want_snapshot) << "with it base repeats its findings";
+  const auto say = [&](uint64_t digest, uint64_t sequence) {
+    robot_->OnBatch("laptop", laptop.get(),
+                    std::make_shared<Batch>(Batch{
+                        .incarnation = kIncarnation,
+                        .lane = Lane::kControl,
+                        .first_sequence = sequence,
+                        .observations = {{.what = SensorStateSeen{.findings_digest = digest,
+                                                                  .findings_all_told = true}}}}));
+    Drain();
+  };
+  const auto pass = [&](int seconds) {
+    for (int i = 0; i < seconds; ++i) {
+      robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
+      Pass(1'000);
+    }
+  };
+  SayFindings();
+  say(model::DigestOf(Impostor(1)), 1);
+  const Findings& findings = robot_->core().findings();
+  EXPECT_THAT(findings.NotKnown(),
+              ElementsAre("sensor laptop has not confirmed yet what it has reported last"));
+  pass(4);
+  EXPECT_FALSE(laptop->setup.want_findings);
+  pass(2);
+  EXPECT_TRUE(laptop->setup.want_findings);
   EXPECT_FALSE(laptop->setup.want_snapshot);
-  EXPECT_THAT(robot_->core().findings().NotKnown(),
-              ElementsAre("sensor laptop has not repeated its findings since the server's start"));
+  EXPECT_FALSE(sensor_->setup.want_findings);
+  pass(1);
+  say(0, 2);
+  robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
+  EXPECT_THAT(findings.NotKnown(), IsEmpty()) << "it is over by now";
+}
+
+constexpr char kSoftRules[] = R"(
+levels: DEFAULT; ALERT soft; COMPROMISED; HALT;
+rules External:
+  found: CurrLevel < ALERT && findingstands("impostor") ? trigger(ALERT);
+  calm: CurrLevel == ALERT && !findingstands("any") ? trigger(DEFAULT);
+  false ? trigger(COMPROMISED), trigger(HALT);
+)";
+
+TEST_F(RobotFindingsTest, RulesLowerWhenNoFindingStandsAndAllIsTold) {
+  Start(kSoftRules);
+  Arm();
+  Tell(Impostor(1));
+  Pass(300);
+  EXPECT_EQ(Level(), "ALERT");
+  Obey();
+  Tell(Over(Impostor(1)));
+  SayFindings(/*all_told=*/false);
+  Pass(60'000);
+  EXPECT_EQ(Level(), "ALERT") << "the sensor may have more to tell";
+  SayFindings();
+  Pass(10'000);
+  EXPECT_EQ(Level(), "DEFAULT");
+  Obey();
+  Pass(10'000);
+
+  Tell(Impostor(2));
+  Tell({.kind = "of_a_later_version", .node = "/x"});
+  Pass(300);
+  EXPECT_EQ(Level(), "ALERT");
+  Obey();
+  Tell(Over(Impostor(2)));
+  SayFindings();
+  Pass(60'000);
+  EXPECT_EQ(Level(), "ALERT") << "of any kind";
+  Tell(Over({.kind = "of_a_later_version", .node = "/x"}));
+  Pass(10'000);
+  EXPECT_EQ(Level(), "ALERT") << "it has not said that this was all";
+  SayFindings();
+  Pass(20'000);
+  EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotFindingsTest, RulesSeeAFindingOfASensorThatIsSilentAndNoEndOfOne) {
+  Start(kSoftRules);
+  Arm();
+  SayFindings();
+  const engine::StandingFindings& seen = robot_->core().findings().seen_by_rules();
+  EXPECT_EQ(seen.Stands("any"), false);
+  Tell(Impostor(1));
+  EXPECT_EQ(seen.Stands("impostor"), true);
+  EXPECT_EQ(seen.Stands("non_ros_reader"), std::nullopt) << "its next state comes later";
+  SayFindings();
+  EXPECT_EQ(seen.Stands("non_ros_reader"), false);
+  sensor_heartbeats_ = false;
+  Pass(2'000);
+  EXPECT_EQ(seen.Stands("impostor"), true);
+  EXPECT_EQ(seen.Stands("non_ros_reader"), std::nullopt);
+  sensor_heartbeats_ = true;
+  Pass(1'000);
+  EXPECT_EQ(seen.Stands("non_ros_reader"), false);
+  Tell(Over(Impostor(1)));
+  EXPECT_EQ(seen.Stands("impostor"), std::nullopt);
+  SayFindings();
+  EXPECT_EQ(seen.Stands("impostor"), false);
+  robot_->OnSensorGone("base", sensor_.get());
+  EXPECT_EQ(seen.Stands("impostor"), std::nullopt);
+}
+
+TEST_F(RobotFindingsTest, WhatAnOlderIncarnationSaysOfItsFindingsCountsForNothing) {
+  Start(kSoftRules);
+  Arm();
+  SayFindings();
+  const engine::StandingFindings& seen = robot_->core().findings().seen_by_rules();
+  EXPECT_EQ(seen.Stands("any"), false);
+  robot_->OnSensorGone("base", sensor_.get());
+  sensor_ = std::make_shared<FakeSensor>();
+  const std::string before = "fedcba9876543210";
+  robot_->OnSensorHello("base", sensor_,
+                        {.incarnation = kIncarnation,
+                         .clock = clock_.Now(),
+                         .spooled = {{.incarnation = before,
+                                      .lane = Lane::kControl,
+                                      .first_sequence = 1,
+                                      .last_sequence = 1}}});
+  robot_->OnBatch("base", sensor_.get(),
+                  std::make_shared<Batch>(Batch{
+                      .incarnation = before,
+                      .lane = Lane::kControl,
+                      .first_sequence = 1,
+                      .observations = {{.what = SensorStateSeen{.findings_digest = 0,
+                                                                .findings_all_told = true}}}}));
+  Drain();
+  Pass(500);
+  EXPECT_EQ(seen.Stands("any"), std::nullopt);
+  SayFindings();
+  EXPECT_EQ(seen.Stands("any"), false);
+}
+
+TEST_F(RobotFindingsTest, WhatARemovedSensorFoundEnds) {
+  sensor_hosts_ = {"base", "laptop"};
+  Start(kSoftRules);
+  const auto laptop = std::make_shared<FakeSensor>();
+  Arm();
+  robot_->OnSensorHello("laptop", laptop, {.incarnation = kIncarnation, .clock = clock_.Now()});
+  robot_->OnBatch("laptop", laptop.get(),
+                  std::make_shared<Batch>(Batch{.incarnation = kIncarnation,
+                                                .lane = Lane::kControl,
+                                                .first_sequence = 1,
+                                                .observations = {{.what = Impostor(1)}}}));
+  Drain();
+  const engine::StandingFindings& seen = robot_->core().findings().seen_by_rules();
+  EXPECT_EQ(seen.Stands("impostor"), true);
+  robot_->SetHosts(
+      {.id = "r1", .sensor_hosts = {"base"}, .primary_sensor = "base", .actuator_hosts = {"base"}});
+  Drain();
+  SayFindings();
+  EXPECT_EQ(seen.Stands("impostor"), false);
 }
 
 TEST_F(RobotFindingsTest, InBriefThereAreCountsByKindAndTheNewest) {
   Start(kRules);
   Arm();
-  Pass(61'000);
+  SayFindings();
   const Findings& findings = robot_->core().findings();
   EXPECT_EQ(findings.Now().total, 0u);
   EXPECT_THAT(findings.Now().not_known, IsEmpty());
@@ -461,6 +692,7 @@ TEST_F(RobotFindingsTest, FloodOfFindingsIsFoldedAndBounded) {
   }
   Pass(2'000);
   EXPECT_LE(audience_.Count("finding non_ros_writer"), 20) << "as RIPS's own alerts";
+  SendBatch(Lane::kControl, {{.what = SensorStateSeen{.findings_digest = 1}}});
   Pass(60'000);
   EXPECT_EQ(audience_.Count("5980 more findings non_ros_writer began within 1 s, merged into this "
                             "alert; 4076 of them stood as reported last (sensor base has reported "

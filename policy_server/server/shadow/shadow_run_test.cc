@@ -125,6 +125,18 @@ TEST_F(ShadowRunTest, SoftLoweringsNeedTheEvidenceThatTheRobotHas) {
   EXPECT_EQ(Report().level, "DEFAULT");
 }
 
+TEST_F(ShadowRunTest, FindingsStandAsForTheRulesInForce) {
+  Begin("rules Msg: found: findingstands(\"impostor\") ? alert(\"x\");");
+  JudgedEvent found = MessageOn("/a", graph_);
+  run_->Judge(found);
+  EXPECT_EQ(Report().would.alerts, 0u);
+  found.findings.Add("impostor");
+  run_->Judge(found);
+  EXPECT_EQ(Report().would.alerts, 1u);
+  run_->Judge(MessageOn("/a", graph_));
+  EXPECT_EQ(Report().would.alerts, 1u);
+}
+
 TEST_F(ShadowRunTest, CountsAreExactForEverAndExamplesAreFew) {
   Begin("vars: n int = 0; rules Msg: all: true ? set(n, n + 1) => alert(string(n));");
   constexpr uint64_t kMany = 100'000;

@@ -261,6 +261,19 @@ EvalStatus Finding(const EvalNode& node, Evaluation& run, Slot& out) {
   });
 }
 
+// What is known to stand is enough, whatever else is not known.
+EvalStatus FindingStands(const EvalNode& node, Evaluation& run, Slot& out) {
+  if (run.foreseeing) return EvalStatus::kUndecidable;
+  bool known = true;
+  const EvalStatus answer = AnyArg(node, run, out, [&](absl::string_view kind) {
+    const std::optional<bool> stands = run.state->findings.Stands(kind);
+    known = known && stands.has_value();
+    return stands.value_or(false);
+  });
+  if (answer != EvalStatus::kValue || out.truth) return answer;
+  return known ? EvalStatus::kValue : EvalStatus::kUndecidable;
+}
+
 EvalStatus LostEvents(const EvalNode& node, Evaluation& run, Slot& out) {
   const model::Loss* loss = ExternalOf<model::Loss>(run);
   Slot min;

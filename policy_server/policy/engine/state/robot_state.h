@@ -9,6 +9,7 @@
 
 #include "absl/container/btree_map.h"
 #include "policy_server/policy/engine/state/compiled_policy.h"
+#include "policy_server/policy/engine/state/standing_findings.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "policy_server/policy/levels/level_machine.h"
 #include "services/ros2/ros_graph.h"
@@ -113,6 +114,8 @@ class RobotState {
   CurrentGraph graph;
   // False: nothing is known of the graph, and questions about it are not decided.
   bool graph_known = true;
+  // Of the robot's sensors, of any time.
+  StandingFindings findings;
   levels::Evidence evidence;
   Actuation actuation = Actuation::kNoLease;
   levels::LevelMachine level;

@@ -265,7 +265,8 @@ class Lowerings {
                            "but the level and the time",
                            alone ? "" : ", and that no event comes, which is so at the next tick"),
               absl::StrCat("ask that it is over, as in `CurrLevel == ", level,
-                           " && !intruder`, with a variable that other rules set"));
+                           alone ? " && !intruder`, with a variable that other rules set"
+                                 : " && !findingstands(\"any\")`"));
   }
 
   void WarnNever(SourceRange range, int from, int to) {

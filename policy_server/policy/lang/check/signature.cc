@@ -1,5 +1,9 @@
 #include "policy_server/policy/lang/check/signature.h"
 
+#include <algorithm>
+#include <array>
+#include <iterator>
+
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/lang/check/type.h"
 
@@ -21,6 +25,12 @@ constexpr absl::string_view kActuatorStates[] = {"connected", "lost", "drift", "
 constexpr absl::string_view kFindings[] = {
     "duplicate_node", "impostor",        "false_claim",    "foreign_mode_writer", "non_ros_writer",
     "non_ros_reader", "unauthenticated", "unicast_writer", "spoofed_writer",      "directed_data"};
+// All of them together, then each.
+constexpr auto kStandingFindings = [] {
+  std::array<absl::string_view, std::size(kFindings) + 1> words = {"any"};
+  std::copy(std::begin(kFindings), std::end(kFindings), words.begin() + 1);
+  return words;
+}();
 
 constexpr Parameter kTopicParameter = {"topic", kString, ParameterRole::kTopic};
 constexpr Parameter kMin = {"min", kInt, ParameterRole::kRangeMin};
@@ -50,6 +60,7 @@ constexpr Parameter kSignalName[] = {{"name", kString, ParameterRole::kWord, kSi
 constexpr Parameter kAgentState[] = {{"kind", kString, ParameterRole::kWord, kAgents},
                                      {"state", kString, ParameterRole::kWord}};
 constexpr Parameter kFindingKind[] = {{"kind", kString, ParameterRole::kWord, kFindings}};
+constexpr Parameter kStandingKind[] = {{"kind", kString, ParameterRole::kWord, kStandingFindings}};
 constexpr Parameter kAtLeast[] = {{"min", kInt}};
 constexpr Parameter kLevelArg[] = {{"level", kInt}};
 constexpr Parameter kAny[] = {{"x", kInt, ParameterRole::kAnyType}};

@@ -141,7 +141,7 @@ TEST(SignatureTest, EveryNameMeansOneThing) {
   for (const PredefinedName& entry : PredefinedNames()) {
     EXPECT_TRUE(names.insert(entry.name).second);
   }
-  EXPECT_EQ(names.size(), 51u + 7u + 12u);
+  EXPECT_EQ(names.size(), 52u + 7u + 12u);
 }
 
 TEST(SignatureTest, SpellsItsUse) {

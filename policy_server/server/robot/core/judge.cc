@@ -138,6 +138,9 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index,
                           const bool overloaded =
                               parts_.sensors.OnState(host, state, seen.boottime_ns);
                           parts_.sight.OnState(host);
+                          if (batch.incarnation == session.incarnation) {
+                            parts_.findings.OnState(host, state);
+                          }
                           parts_.evidence.Update();
                           if (overloaded)
                             run(engine::AgentEvent{.agent = "sensor", .state = "overloaded"});
@@ -186,6 +189,7 @@ void Judge::JudgeGraph(SensorHost& host, const Piece& piece, const GraphChange& 
     status = host.ApplyDelta(incarnation, change);
   }
   if (!status.ok()) return parts_.sensors.RefuseGraph(host, status);
+  parts_.findings.Update();
   if (!news) return;
   in_force_.reset();
   const std::shared_ptr<const Batch>& batch = piece.waiting.batch;
@@ -201,6 +205,7 @@ void Judge::OnGraph(SensorHost& host, engine::Event event, std::shared_ptr<const
   graph_changed_unix_ns_ = event.time_unix_ns;
   // A graph that shows no node must not lower a level in the very event that shows it.
   parts_.sight.Update();
+  parts_.findings.Update();
   parts_.evidence.Update();
   event.what = engine::GraphEvent{};
   parts_.decider.Run(event, {.batch = std::move(told_by), .remark = ""});

@@ -80,8 +80,8 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
       own_agents_(&context_, &alerts_, &state_.graph),
       losses_(&context_, &alerts_, &gate_),
       sensors_(&context_, &alerts_, &gate_, &own_agents_, &losses_, start.record),
-      findings_(&context_, &alerts_, &sensors_, &state_.graph),
       sight_(&context_, &alerts_, &own_agents_, &sensors_, &state_.graph),
+      findings_(&context_, &alerts_, &sensors_, &sight_, &state_),
       actuators_(&context_, &alerts_, &outbox_, &own_agents_, &state_.level),
       drills_(&context_, &alerts_, &actuators_, &state_.level),
       maintenance_(&context_, &window_, &alerts_, &outbox_, &sensors_, &actuators_),
@@ -141,6 +141,7 @@ RobotCore::After RobotCore::Handle(const Input& input) {
           [&](const input::InterestAnswer& in) { return sensors_.OnInterestAnswer(in), kAll; },
           [&](const input::SensorGone& in) {
             sensors_.OnGone(in.host, in.session);
+            findings_.Update();
             judge_.Wake();
             return After::kPublish;
           },
@@ -218,6 +219,7 @@ void RobotCore::Epilogue(After after) {
 }
 
 void RobotCore::UpdateActuation() {
+  findings_.Update();
   decider_.RunEvents();
   engine::Actuation actuation = actuators_.UpdateStage();
   if (!context_.events.empty()) {
@@ -320,12 +322,14 @@ RobotCore::After RobotCore::OnTime() {
   if (!retired_.ok()) return checkpoint ? After::kFlush : After::kRoutine;
   maintenance_.Expire();
   sensors_.CheckLost();
+  findings_.Update();
   for (const std::string& host : actuators_.CheckLost()) {
     drills_.OnGone(host);
     sensors_.SendSetups();
   }
   decider_.RunEvents();
   findings_.Expire();
+  for (const std::string& host : findings_.ToAsk()) sensors_.AskFindings(host);
   if (own_agents_.Expire()) sensors_.SendSetups();
   orders_.approvals().Expire();
   sight_.Update();
@@ -405,6 +409,7 @@ void RobotCore::OnSetHosts(const input::SetHosts& in) {
   sensors_.SetHosts(in.config);
   const std::vector<std::string> before = std::exchange(context_.config, in.config).actuator_hosts;
   actuators_.SetHosts(in.config.actuator_hosts);
+  findings_.OnHosts();
   for (const std::string& host : before) {
     if (!actuators_.Lists(host)) drills_.OnGone(host);
   }

@@ -155,8 +155,8 @@ class RobotCore {
   OwnAgents own_agents_;
   Losses losses_;
   SensorSide sensors_;
-  Findings findings_;
   Sight sight_;
+  Findings findings_;
   ActuatorSide actuators_;
   Drills drills_;
   MaintenanceOrders maintenance_;

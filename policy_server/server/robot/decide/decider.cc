@@ -37,6 +37,7 @@ void RecordEvent(const engine::Event& event, const Source& source, const levels:
        .message = message,
        .batch = source.batch,
        .blind = !evidence.blind_because.empty(),
+       .findings = state.findings,
        .payload_bytes_max = message == nullptr ? 0 : context.watch.PayloadBytes(message->topic),
        .muted = source.muted}});
 }

@@ -10,6 +10,7 @@
 #include "absl/container/btree_map.h"
 #include "policy_server/policy/engine/state/effect.h"
 #include "policy_server/policy/engine/state/event.h"
+#include "policy_server/policy/engine/state/standing_findings.h"
 #include "policy_server/policy/lang/checked_rules.h"
 #include "policy_server/server/robot/model/inbound.h"
 #include "services/ros2/ros_graph.h"
@@ -28,6 +29,7 @@ struct JudgedEvent {
   std::shared_ptr<const Batch> batch;
   // RIPS saw less than all of the robot.
   bool blind = false;
+  engine::StandingFindings findings = {};
   // Of a message's payload the rules in force were given so many first bytes at most.
   size_t payload_bytes_max = SIZE_MAX;
   // The rules in force were not given it: only a policy that runs muted asked for it.

@@ -30,6 +30,8 @@ struct SensorSetup {
   bool primary = false;
   // The server holds no graph of this incarnation: send a snapshot.
   bool want_snapshot = true;
+  // To be told again all findings that stand.
+  bool want_findings = false;
   // See RobotConfig.
   std::vector<ConfigSetting> settings;
   // What the store holds, for its next hello.

@@ -121,7 +121,7 @@ void SensorSide::SendSetups() {
   }
 }
 
-void SensorSide::SendSetup(SensorHost& host) {
+void SensorSide::SendSetup(SensorHost& host, bool want_findings) {
   const bool primary = IsPrimary(host);
   context_.Do(action::Setup{
       .session = host.session->id,
@@ -132,9 +132,15 @@ void SensorSide::SendSetup(SensorHost& host) {
           .protected_parts = own_agents_.parts(),
           .primary = primary,
           .want_snapshot = primary && host.graph_incarnation != host.session->incarnation,
+          .want_findings = want_findings,
           .settings = context_.config.sensor_settings,
           .store = context_.store}});
   if (primary) SendInterest(host);
+}
+
+void SensorSide::AskFindings(const std::string& host) {
+  SensorHost* listed = Listed(host);
+  if (listed != nullptr && listed->session) SendSetup(*listed, /*want_findings=*/true);
 }
 
 void SensorSide::SendInterest(SensorHost& host) {

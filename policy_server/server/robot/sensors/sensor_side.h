@@ -50,6 +50,8 @@ class SensorSide {
 
   // ---- what sensors are sent
   void SendSetups();
+  // That one is to tell again all findings that stand.
+  void AskFindings(const std::string& host);
   void EchoHeartbeats();
   // The policy in force, or the one that runs muted, has changed.
   void AskInterest();
@@ -80,7 +82,7 @@ class SensorSide {
   bool IsPrimary(const SensorHost& host) const {
     return host.name == context_.config.primary_sensor;
   }
-  void SendSetup(SensorHost& host);
+  void SendSetup(SensorHost& host, bool want_findings = false);
   void SendInterest(SensorHost& host);
   void OnRestart(SensorHost& host, const SensorHello& hello);
 

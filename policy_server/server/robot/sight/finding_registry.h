@@ -5,27 +5,29 @@
 // until no sensor says so: a sensor tells that it is over, or begins a new incarnation and does not
 // tell it again in time.
 //
-// What is not here does not stand only as far as the sensors have told all:
+// What is not here does not stand only as far as the sensors have told all. Each says so of itself,
+// with a digest of what it has told: a sensor and its server may lose, end or keep different ones.
 //
 //   a sensor                                        has told all
-//   that was not heard since the server's start     no
-//   of a new incarnation, from its first            confirm_ns after its hello: as long as
-//   observation, or asked to tell all again         discovery and every grace may take
-//   of an older incarnation, not asked              no: it tells no more than what changes
-//   whose finding was not kept because of the       not before its next incarnation
-//   limit
+//   that has not said so since its last hello       no
+//   of a version that does not say so               no
+//   whose digest is another one than ours           no; it is asked to tell again what stands, and
+//                                                   what it does not tell stands for confirm_ns
+//   that says that more may stand                   no
+//   else                                            yes
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_SIGHT_FINDING_REGISTRY_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_SIGHT_FINDING_REGISTRY_H_
 
 #include <cstddef>
 #include <cstdint>
 #include <deque>
-#include <limits>
+#include <optional>
 #include <string>
 #include <tuple>
 #include <vector>
 
 #include "absl/container/btree_map.h"
+#include "absl/functional/function_ref.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/server/robot/model/inbound.h"
 #include "services/base/clock.h"
@@ -54,6 +56,7 @@ class FindingRegistry {
   using Key = std::tuple<std::string, ros2::Guid, std::string, std::string>;
   struct Entry {
     FindingSeen finding;
+    uint64_t digest = 0;
     uint64_t order = 0;
     int64_t since_ns = 0;
     // An alert names it.
@@ -76,34 +79,53 @@ class FindingRegistry {
   // `incarnation` is the one that took the observation; the sensor may be in a later one.
   News Apply(const std::string& host, const std::string& incarnation, const FindingSeen& seen,
              int64_t now_ns);
-  // The sensor speaks as this incarnation from now on. `tells_all`: from its first observation, or
-  // it was asked to tell again all that stands.
-  void OnIncarnation(const std::string& host, const std::string& incarnation, int64_t now_ns,
-                     bool tells_all = true);
+  // A session begins: the sensor speaks as this incarnation from now on.
+  void OnHello(const std::string& host, const std::string& incarnation, int64_t now_ns);
+  // What the sensor said last, in this session. `digest`: none = its version does not say.
+  void OnState(const std::string& host, std::optional<uint64_t> digest, bool all_told);
+  // Those that the inventory does not list any more have said nothing.
+  void KeepOnly(absl::FunctionRef<bool(const std::string& host)> listed, int64_t now_ns);
   // Takes out, and gives, what nobody has told again in time.
   std::vector<Entry> Expire(int64_t now_ns);
+  // Whether to ask the sensor now to tell again what stands; then it has confirm_ns for it.
+  bool Ask(const std::string& host, int64_t now_ns);
 
   // Null if it does not stand.
   Entry* Find(const Key& key);
   const Entry* Find(const Key& key) const;
   const absl::btree_map<Key, Entry>& entries() const { return entries_; }
+  // One of that kind stands.
+  bool HasKind(absl::string_view kind) const;
   // The newest last.
   const std::deque<Ended>& ended() const { return ended_; }
   // Oldest first.
   std::vector<FindingSeen> standing() const;
   // Why the sensor may have more to tell, as words behind its name; empty = it has told all.
-  std::string NotToldAll(const std::string& host, int64_t now_ns) const;
+  std::string NotToldAll(const std::string& host) const;
 
  private:
-  static constexpr int64_t kNever = std::numeric_limits<int64_t>::max();
+  struct Said {
+    std::optional<uint64_t> digest;
+    bool all_told = false;
+  };
   struct Host {
     std::string incarnation;
-    // From then on it has told all that stands.
-    int64_t told_all_ns = kNever;
-    // Something that it told was not kept.
-    bool overflowed = false;
-  };
+    // In this session.
+    std::optional<Said> said;
+    // Of what it has told, here.
+    uint64_t digest = 0;
+    // When that was seen first not to be what it said; 0 = it is.
+    int64_t differs_ns = 0;
+    int64_t asked_ns = 0;
 
+    bool differs() const { return said && said->digest && *said->digest != digest; }
+  };
+  static constexpr int64_t kDiffersNs = 5 * kNanosPerSecond;
+
+  // What it has told ends, unless it tells it again in time.
+  void MayEnd(const std::string& host, int64_t now_ns);
+  void AddTeller(Entry& entry, const std::string& host, int64_t until_ns);
+  void RemoveTellers(Entry& entry, absl::FunctionRef<bool(const std::string& host, int64_t)> goes);
   void AddEnded(const Key& key, bool named, int64_t now_ns);
 
   FindingsLimits limits_;

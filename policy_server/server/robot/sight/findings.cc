@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <memory>
 #include <optional>
+#include <span>
 #include <utility>
 
 #include "absl/container/btree_map.h"
@@ -23,10 +24,14 @@ std::string Text(const FindingSeen& finding) {
   return text;
 }
 
-// One that rules can ask for.
+// Those that rules can ask for.
+std::span<const absl::string_view> KindsOfRules() {
+  return lang::SignatureOf(lang::Builtin::kFinding).parameters[0].words;
+}
+
 bool IsKindOfRules(absl::string_view kind) {
-  const auto words = lang::SignatureOf(lang::Builtin::kFinding).parameters[0].words;
-  return std::find(words.begin(), words.end(), kind) != words.end();
+  const auto kinds = KindsOfRules();
+  return std::find(kinds.begin(), kinds.end(), kind) != kinds.end();
 }
 
 // A sensor also reports how many others came and went; that names nothing.
@@ -48,11 +53,15 @@ bool Findings::OnFinding(const std::string& host, const std::string& incarnation
     case FindingRegistry::News::kKnown:
       return false;
     case FindingRegistry::News::kEnds:
+      SetOther(finding.kind);
+      Recount();
       Log("no longer", finding);
       RaiseEnd("finding ended", finding, registry_.ended().back().named);
       return false;
     case FindingRegistry::News::kBegins:
     case FindingRegistry::News::kTooMany:
+      SetOther(finding.kind);
+      Recount();
       break;
   }
   // A sensor may make kinds up, and each kind has its own limit.
@@ -88,20 +97,68 @@ void Findings::RaiseEnd(absl::string_view what, FindingSeen finding, bool named)
 }
 
 void Findings::OnHello(const SensorHost& host) {
-  const std::string& incarnation = host.session->incarnation;
-  const bool from_first = host.sequences.Judged(incarnation, Lane::kControl) == 0;
-  // As SensorSide asks: a sensor that is asked for its graph repeats its findings, too.
-  const bool asked =
-      host.name == context_.config.primary_sensor && host.graph_incarnation != incarnation;
-  registry_.OnIncarnation(host.name, incarnation, context_.now_ns(), from_first || asked);
+  registry_.OnHello(host.name, host.session->incarnation, context_.now_ns());
+  Update();
+}
+
+void Findings::OnState(const SensorHost& host, const SensorStateSeen& state) {
+  registry_.OnState(host.name, state.findings_digest, state.findings_all_told);
+  Update();
+}
+
+void Findings::OnHosts() {
+  registry_.KeepOnly([this](const std::string& host) { return sensors_.hosts().contains(host); },
+                     context_.now_ns());
+  Expire();
 }
 
 void Findings::Expire() {
-  for (FindingRegistry::Entry& entry : registry_.Expire(context_.now_ns())) {
+  std::vector<FindingRegistry::Entry> expired = registry_.Expire(context_.now_ns());
+  for (const FindingRegistry::Entry& entry : expired) SetOther(entry.finding.kind);
+  if (!expired.empty()) Recount();
+  for (FindingRegistry::Entry& entry : expired) {
     Log("not told again by a restarted sensor", entry.finding);
     RaiseEnd("finding ended, as its restarted sensor did not report it again",
              std::move(entry.finding), entry.named);
   }
+}
+
+// ---------------------------------------------------------------------------- what rules are told
+
+void Findings::SetOther(const std::string& kind) {
+  if (IsKindOfRules(kind)) return;
+  if (registry_.HasKind(kind)) {
+    others_.insert(kind);
+  } else {
+    others_.erase(kind);
+  }
+}
+
+void Findings::Recount() {
+  kinds_ = {};
+  for (const absl::string_view each : KindsOfRules()) {
+    if (registry_.HasKind(each)) kinds_.Add(each);
+  }
+  if (!others_.empty()) kinds_.Add(engine::StandingFindings::kOther);
+  Update();
+}
+
+std::vector<std::string> Findings::ToAsk() {
+  std::vector<std::string> hosts;
+  for (const auto& [name, host] : sensors_.hosts()) {
+    const bool current = host.session && NotCurrent(host).empty();
+    if (current && registry_.Ask(name, context_.now_ns())) hosts.push_back(name);
+  }
+  return hosts;
+}
+
+void Findings::Update() {
+  bool told_all = !sensors_.hosts().empty() && sight_.blind().empty() && !context_.moment.backlog;
+  for (const auto& [name, host] : sensors_.hosts()) {
+    told_all = told_all && NotToldAll(host).empty();
+  }
+  state_.findings = kinds_;
+  state_.findings.set_told_all(told_all);
 }
 
 // ------------------------------------------------------------------------------------- summaries
@@ -171,20 +228,28 @@ std::string Findings::NotCurrent(const SensorHost& host) const {
   return "";
 }
 
+std::string Findings::NotToldAll(const SensorHost& host) const {
+  std::string reason = NotCurrent(host);
+  if (!reason.empty()) return reason;
+  reason = registry_.NotToldAll(host.name);
+  if (!reason.empty()) return absl::StrCat("sensor ", host.name, " ", reason);
+  if (host.name == context_.config.primary_sensor && !host.settled) {
+    return absl::StrCat("the graph of sensor ", host.name, " has not settled");
+  }
+  return "";
+}
+
 std::vector<std::string> Findings::NotKnown() const {
   std::vector<std::string> reasons;
   for (const auto& [name, host] : sensors_.hosts()) {
     if (reasons.size() == kNotKnownMax) break;
-    std::string reason = NotCurrent(host);
-    if (reason.empty()) {
-      const std::string not_told = registry_.NotToldAll(name, context_.now_ns());
-      if (!not_told.empty()) reason = absl::StrCat("sensor ", name, " ", not_told);
-    }
-    if (reason.empty() && name == context_.config.primary_sensor && !host.settled) {
-      reason = absl::StrCat("the graph of sensor ", name, " has not settled");
-    }
+    std::string reason = NotToldAll(host);
     if (!reason.empty()) reasons.push_back(std::move(reason));
   }
+  for (const std::string& reason : sight_.blind()) {
+    if (reasons.size() < kNotKnownMax) reasons.push_back(reason);
+  }
+  if (context_.moment.backlog) reasons.push_back("what its agents sent is not judged yet");
   if (sensors_.hosts().empty()) reasons.push_back("the inventory lists no sensor of this robot");
   return reasons;
 }
@@ -205,11 +270,11 @@ FindingsNow Findings::Now() const {
   std::partial_sort(newest.begin(), newest.begin() + static_cast<ptrdiff_t>(shown), newest.end(),
                     [](const auto* a, const auto* b) { return a->order > b->order; });
   for (size_t i = 0; i < shown; ++i) {
-    now.newest.push_back(
-        {.finding = newest[i]->finding,
-         .since_unix_ns = UnixOf(newest[i]->since_ns),
-         .subjects =
-             engine::TraceFinding(newest[i]->finding, graph_.get(), kFindingSubjectsMax).subjects});
+    now.newest.push_back({.finding = newest[i]->finding,
+                          .since_unix_ns = UnixOf(newest[i]->since_ns),
+                          .subjects = engine::TraceFinding(newest[i]->finding, state_.graph.get(),
+                                                           kFindingSubjectsMax)
+                                          .subjects});
   }
   return now;
 }
@@ -244,7 +309,7 @@ FindingState Findings::StateOf(const FindingSeen& finding) const {
 
 engine::SharedTrace Findings::TraceOf(const FindingSeen& finding) const {
   if (!HasSubject(finding)) return nullptr;
-  return std::make_shared<const engine::Trace>(engine::TraceFinding(finding, graph_.get()));
+  return std::make_shared<const engine::Trace>(engine::TraceFinding(finding, state_.graph.get()));
 }
 
 int64_t Findings::UnixOf(int64_t boottime_ns) const {

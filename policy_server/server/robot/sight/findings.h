@@ -23,29 +23,40 @@
 #include "policy_server/server/robot/model/standing_findings.h"
 #include "policy_server/server/robot/sensors/sensor_side.h"
 #include "policy_server/server/robot/sight/finding_registry.h"
+#include "policy_server/server/robot/sight/sight.h"
 
 namespace rips::pipeline {
 
 // Not thread-safe. All that it is given outlives it.
 class Findings {
  public:
-  // `graph`: the one in force.
-  Findings(Context* context, Alerts* alerts, const SensorSide* sensors,
-           const engine::CurrentGraph* graph)
-      : context_(*context), alerts_(*alerts), sensors_(*sensors), graph_(*graph) {}
+  // `state`: of the rules, which see the graph in force, and which findings stand.
+  Findings(Context* context, Alerts* alerts, const SensorSide* sensors, const Sight* sight,
+           engine::RobotState* state)
+      : context_(*context), alerts_(*alerts), sensors_(*sensors), sight_(*sight), state_(*state) {}
 
   // True if rules are to judge it.
   bool OnFinding(const std::string& host, const std::string& incarnation,
                  const FindingSeen& finding);
   // A session of that sensor has begun; nothing of it is judged yet.
   void OnHello(const SensorHost& host);
+  // Of that session, not of the backlog.
+  void OnState(const SensorHost& host, const SensorStateSeen& state);
+  // The inventory lists others.
+  void OnHosts();
+  // Those whose sensors are to tell again what stands. Call it from time to time.
+  std::vector<std::string> ToAsk();
   // Call at least once a second.
   void Expire();
+  // Tells the rules. Call it before they are run when anything of a sensor may have changed.
+  void Update();
   // Raises the summaries that are due. Call it before Alerts::Summarize.
   void Summarize();
 
   // Oldest first.
   std::vector<FindingSeen> standing() const { return registry_.standing(); }
+  // As of the last Update.
+  const engine::StandingFindings& seen_by_rules() const { return state_.findings; }
   size_t total() const { return registry_.entries().size(); }
   FindingsNow Now() const;
   // Of the finding with that kind, GUID, node and topic.
@@ -67,8 +78,13 @@ class Findings {
 
   // Why what the sensor says may be old; empty = it is not.
   std::string NotCurrent(const SensorHost& host) const;
+  // Why the sensor may have more to tell, or less; empty = it has told all.
+  std::string NotToldAll(const SensorHost& host) const;
   engine::SharedTrace TraceOf(const FindingSeen& finding) const;
   int64_t UnixOf(int64_t boottime_ns) const;
+  // After one of that kind has begun or ended; then Recount.
+  void SetOther(const std::string& kind);
+  void Recount();
   void Log(absl::string_view what, const FindingSeen& finding);
   void RaiseEnd(absl::string_view what, FindingSeen finding, bool named);
   std::string SummaryOf(const Folded& kind, const FoldedAlerts& folded,
@@ -77,8 +93,12 @@ class Findings {
   Context& context_;
   Alerts& alerts_;
   const SensorSide& sensors_;
-  const engine::CurrentGraph& graph_;
+  const Sight& sight_;
+  engine::RobotState& state_;
   FindingRegistry registry_;
+  // Kinds that stand, and those of them that rules cannot name.
+  engine::StandingFindings kinds_;
+  absl::btree_set<std::string> others_;
   absl::btree_set<Folded> folded_;
 };
 
