@@ -89,16 +89,16 @@ Outcome Expire(Instant now, RobotState& state) {
   return outcome;
 }
 
-std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
-                                    const RobotState& state) {
-  std::vector<std::string> names;
-  if (!state.level.table().contains(level)) return names;
+namespace {
+
+// Adds the names of those of `rules` that would fire on `event` and raise.
+void AddRaisers(const Event& event, const std::vector<uint32_t>& rules, levels::LevelIndex level,
+                Instant now, const RobotState& state, std::vector<std::string>& names) {
   const CompiledPolicy& program = *state.program();
-  const Event event{.what = GraphEvent{}};
   Frame frame(state, state.program(), event, std::max(state.internal().time_ns, now.unix_ns), now,
               nullptr);
   Slot out;
-  for (const uint32_t index : program.compiled().graph_rules) {
+  for (const uint32_t index : rules) {
     const lang::TypedRule& rule = program.rules().rules[index];
     Evaluation& run = frame.Enter(rule, level);
     const EvalStatus answer = Eval(*program.compiled().conditions[index], run, out);
@@ -116,6 +116,19 @@ std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
         });
     if (raises) names.push_back(rule.name);
   }
+}
+
+}  // namespace
+
+std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
+                                    const RobotState& state) {
+  std::vector<std::string> names;
+  if (!state.level.table().contains(level)) return names;
+  const CompiledPolicy::Compiled& compiled = state.program()->compiled();
+  AddRaisers({.what = GraphEvent{}}, compiled.graph_rules, level, now, state, names);
+  Event tick;
+  tick.what.emplace<ExternalEvent>(TickEvent{});
+  AddRaisers(tick, compiled.external_rules, level, now, state, names);
   return names;
 }
 

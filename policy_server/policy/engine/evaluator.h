@@ -45,7 +45,8 @@ Outcome Expire(Instant now, RobotState& state);
 
 // Names of the Graph rules, in order, whose expression would be true on the graph as it is now if
 // the robot were at `level`, and one of whose chains holds a trigger above it: "what would raise it
-// again". Whether the chain gets that far is not said. Changes nothing.
+// again". Then those of the External rules of which that is so at the next tick. Whether the chain
+// gets that far is not said. Changes nothing.
 std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now, const RobotState& state);
 
 }  // namespace rips::engine

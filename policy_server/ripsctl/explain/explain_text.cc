@@ -312,7 +312,7 @@ void PrintLowering(absl::string_view robot, const Lowering& lowering,
   out << "  if it were lowered to " << EscapeText(lowering.to) << " now, it\n";
   const v1::LevelResponse& found = *lowering.found;
   if (found.would_raise_again().empty()) {
-    out << "    would not be raised again at once: no rule on the graph would fire\n";
+    out << "    would not be raised again at once: no rule on the graph or a tick would fire\n";
   }
   // Of most interest is what raised the robot.
   const bool by_message = absl::StartsWith(recorded.evidence().event(), "message ");

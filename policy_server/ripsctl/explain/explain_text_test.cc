@@ -393,8 +393,8 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   blind.add_blind_because("sensor base lost");
   EXPECT_THAT(with(blind),
               HasSubstr("  if it were lowered to ALERT now, it\n"
-                        "    would not be raised again at once: no rule on the graph would "
-                        "fire\n"
+                        "    would not be raised again at once: no rule on the graph or a tick "
+                        "would fire\n"
                         "    blind: sensor base lost\n"
                         "    would be refused, because RIPS does not see all of r1 "
                         "now; --accept-blind lowers it all the same\n"));

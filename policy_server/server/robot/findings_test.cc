@@ -126,7 +126,7 @@ TEST(FindingsBookTest, ASensorThatFindsSomethingElseIsAskedAndWhatItDoesNotRepea
   EXPECT_FALSE(book.Ask("base", at(6))) << "its next state may be on its way";
   EXPECT_EQ(book.NotToldAll("base"), "has not confirmed yet what it has reported last");
   EXPECT_TRUE(book.Ask("base", at(7)));
-  EXPECT_THAT(book.NotToldAll("base"), HasSubstr("is asked to report all again"));
+  EXPECT_THAT(book.NotToldAll("base"), HasSubstr("finds something else"));
   EXPECT_FALSE(book.Ask("base", at(66))) << "at most once a minute";
   book.Apply("base", "i1", Impostor(1), at(8));
   book.Apply("base", "i1", Impostor(3), at(8));
@@ -463,7 +463,8 @@ TEST_F(RobotFindingsTest, StateOfAFindingIsToldOnlyAsFarAsItIsKnown) {
   EXPECT_THAT(reasons(Impostor(3)),
               ElementsAre("sensor base has not said yet which findings stand"));
   EXPECT_EQ(
-      audience_.Count("finding ended, as its restarted sensor did not report it again: impostor"),
+      audience_.Count(
+          "finding ended, as its sensor, restarted or asked to, did not report it again: impostor"),
       1);
 }
 
@@ -715,7 +716,8 @@ TEST_F(RobotFindingsTest, RestartedSensorThatDoesNotTellThemAgainEndsThem) {
   EXPECT_THAT(robot_->core().findings().standing(), SizeIs(1));
   Pass(2'000);
   EXPECT_THAT(robot_->core().findings().standing(), IsEmpty());
-  EXPECT_THAT(audience_.rule_logs, Contains(HasSubstr("not told again by a restarted sensor")));
+  EXPECT_THAT(audience_.rule_logs,
+              Contains(HasSubstr("not told again by a sensor that was restarted")));
 }
 
 TEST_F(RobotFindingsTest, SensorsAreToldWhichPartsToWatchOverAlsoWhileTheActuatorIsAway) {

@@ -35,7 +35,8 @@ absl::StatusOr<Robots> SelectNamed(const bundle::Inventory& inventory,
     if (policy && robot->bundle != *policy) {
       return absl::FailedPreconditionError(
           absl::StrCat("the inventory has policy `", robot->bundle, "` for robot `", name,
-                       "`; the bundle is of policy `", *policy, "`"));
+                       "`; the bundle is of policy `", *policy,
+                       "`: give it that name, or the robot that `bundle` in the inventory"));
     }
     robots.push_back(robot);
   }

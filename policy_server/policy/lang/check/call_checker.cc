@@ -61,6 +61,23 @@ absl::string_view SectionsFor(EventClass event_class) {
   return "";
 }
 
+// It may be not known on a live robot: an action with it fails then, and a variable would go on
+// saying what was so before. And a kind that there is not never stands.
+bool CheckFindingStands(const ast::Expr& expr, const TypedExpr& kind, const ExprContext& context,
+                        DiagnosticSink& sink) {
+  if (!context.condition && context.section) {
+    sink.Add(DiagnosticKind::kAskedInAction, expr.range,
+             "`findingstands` is asked in the expression of a rule, not in an action",
+             "while it is not known the action would fail; write "
+             "`findingstands(\"any\") ? set(found, true);`");
+    return false;
+  }
+  if (kind.is_constant()) return true;
+  sink.Add(DiagnosticKind::kNotConstant, kind.range, "the kind of `findingstands` must be constant",
+           "what is no kind would never stand");
+  return false;
+}
+
 }  // namespace
 
 std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr,
@@ -80,6 +97,10 @@ std::optional<ExprChecker::Checked> ExprChecker::CheckCall(const ast::Expr& expr
   CheckClass(expr.text, expr.name, signature->event_class, context);
   std::optional<std::vector<Checked>> args = CheckArgs(expr, *signature, context);
   if (!args) return std::nullopt;
+  if (signature->builtin == Builtin::kFindingStands &&
+      !CheckFindingStands(expr, (*args)[0].typed, context, sink_)) {
+    return std::nullopt;
+  }
   NoteDialect(expr, *signature);
 
   Checked out;

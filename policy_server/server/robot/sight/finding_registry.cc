@@ -168,8 +168,10 @@ std::string FindingRegistry::NotToldAll(const std::string& host) const {
                           " that are kept");
     }
     const bool asked = it->second.differs_ns != 0 && it->second.asked_ns >= it->second.differs_ns;
-    return asked ? "finds something else than it has reported, and is asked to report all again"
-                 : "has not confirmed yet what it has reported last";
+    return asked
+               ? "finds something else than it has reported; it was restarted, or asked less than "
+                 "a minute ago to report all again"
+               : "has not confirmed yet what it has reported last";
   }
   if (!said.all_told) {
     return "may find more: it was started less than a minute ago, looks at something for longer, "

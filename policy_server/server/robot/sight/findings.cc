@@ -117,8 +117,8 @@ void Findings::Expire() {
   for (const FindingRegistry::Entry& entry : expired) SetOther(entry.finding.kind);
   if (!expired.empty()) Recount();
   for (FindingRegistry::Entry& entry : expired) {
-    Log("not told again by a restarted sensor", entry.finding);
-    RaiseEnd("finding ended, as its restarted sensor did not report it again",
+    Log("not told again by a sensor that was restarted or asked", entry.finding);
+    RaiseEnd("finding ended, as its sensor, restarted or asked to, did not report it again",
              std::move(entry.finding), entry.named);
   }
 }
