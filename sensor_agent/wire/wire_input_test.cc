@@ -7,6 +7,8 @@
 #include <string>
 
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "sensor_agent/agent.h"
@@ -15,6 +17,7 @@
 #include "sensor_agent/wire/report_sender.h"
 #include "sensor_agent/wire/rtps_bytes.h"
 #include "services/base/status_matchers.h"
+#include "services/model/finding_digest.h"
 #include "services/rpc/credentials.h"
 #include "services/rpc/test_pki.h"
 #include "services/runtime/real_clock.h"
@@ -138,6 +141,42 @@ TEST_F(WireInputTest, TellsWhatDiscoveryDoesNotShow) {
     EXPECT_THAT(Findings(s), ElementsAre(absl::StrCat("unicast_writer ", ToString(hidden))));
     return true;
   }));
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    std::optional<uint64_t> told;
+    uint64_t said = 0;
+    for (const Recorded& each : s.received) {
+      if (each.what.has_state()) {
+        said = each.what.state().findings_digest();
+        EXPECT_FALSE(each.what.state().findings_all_told()) << "in its first minute";
+      }
+      if (!each.what.has_finding()) continue;
+      const rips::v1::Finding& finding = each.what.finding();
+      told = model::DigestOf({.kind = finding.kind(),
+                              .guid = *ros2::GuidFromBytes(finding.guid()),
+                              .node = finding.node(),
+                              .topic = finding.topic()});
+    }
+    return told == said;
+  }));
+}
+
+TEST_F(WireInputTest, FindingsOfATapThatHasJustComeAreNotAll) {
+  const auto input = wire::WireInput::Create(
+      {.socket = path_, .domain = dds::RandomDomain()}, [] {}, &metrics_);
+  ASSERT_THAT(input, IsOk());
+  constexpr int64_t kStartNs = 100 * kNanosPerSecond;
+  constexpr int64_t kSettledNs = kStartNs + wire::WireInput::kTapSettleNs;
+  EXPECT_TRUE((*input)->ToldAll(kStartNs)) << "without a tap it is blind, or not asked for";
+  GraphBuilder graph({}, kStartNs);
+  MessageFlow flow({}, &graph);
+  const absl::Time deadline = absl::Now() + absl::Seconds(30);
+  while ((*input)->ToldAll(kStartNs) && absl::Now() < deadline) {
+    tap_->Ready(clock_.Now().boottime_ns);
+    (*input)->Poll(graph, flow, kStartNs);
+    absl::SleepFor(absl::Milliseconds(20));
+  }
+  EXPECT_FALSE((*input)->ToldAll(kSettledNs - 1));
+  EXPECT_TRUE((*input)->ToldAll(kSettledNs));
 }
 
 TEST_F(WireInputTest, SaysWhetherItSeesUnicastOnlyWriters) {

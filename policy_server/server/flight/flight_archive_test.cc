@@ -17,6 +17,7 @@
 #include "policy_server/policy/recording/reader.h"
 #include "policy_server/policy/replay/replayer.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "policy_server/server/robot/told_findings.h"
 #include "services/base/status_matchers.h"
 #include "services/runtime/bounded_queue.h"
 
@@ -147,6 +148,29 @@ rules External:
   const replay::Result result = ReplayOf(alerts[0]);
   EXPECT_TRUE(Fired(result, alerts[0]));
   EXPECT_EQ(result.level, "COMPROMISED");
+}
+
+TEST_F(FlightArchiveTest, WhichFindingsStandIsInIt) {
+  Fly(R"(
+levels: DEFAULT; ALERT soft; COMPROMISED; HALT;
+rules External:
+  stands: CurrLevel < COMPROMISED && findingstands("impostor") && !findingstands("non_ros_reader") ?
+    alert("one stands", "high") => trigger(COMPROMISED);
+  last: false ? trigger(HALT), trigger(ALERT), trigger(DEFAULT);
+)");
+  SendBatch(pipeline::Lane::kControl,
+            {{.what = pipeline::FindingSeen{.kind = "impostor", .node = "/rips"}}});
+  Pass(1'000);
+  EXPECT_THAT(AlertsOf("stands"), IsEmpty()) << "of readers it is not known";
+  SendBatch(pipeline::Lane::kControl, {{.what = pipeline::ToldFindings(*robot_)}});
+  Pass(1'000);
+  const auto alerts = AlertsOf("stands");
+  ASSERT_THAT(alerts, SizeIs(1));
+  Settle();
+  const replay::Result result = ReplayOf(alerts[0]);
+  EXPECT_TRUE(Fired(result, alerts[0]));
+  EXPECT_THAT(result.alerts, SizeIs(1));
+  EXPECT_GT(result.events.undecidable, 0u);
 }
 
 TEST_F(FlightArchiveTest, ARobotThatIsNotSeenIsNotLoweredByTheReplayEither) {
