@@ -67,7 +67,9 @@ Transition LevelMachine::Request(LevelIndex to, const Cause& cause, Instant now,
   }
   if (!SpendBudget(now)) {
     return Refused(std::move(proposed), Refusal::kBudget,
-                   "soft lowerings are suspended; an operator can resume them");
+                   absl::StrCat("rules have lowered the level ", budget_.lowerings_max,
+                                " times in ", budget_.window_ns / (60 * kNanosPerSecond),
+                                " minutes; `ripsctl rules resume` lets them again"));
   }
   return Decide(std::move(proposed));
 }

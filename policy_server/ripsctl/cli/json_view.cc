@@ -203,7 +203,10 @@ Json ToJson(const v1::GetLevelResponse& response) {
   return {{"status", ToJson(response.status())},
           {"levels", std::move(levels)},
           {"last", response.has_last() ? ToJson(response.last()) : Json(nullptr)},
-          {"pending_approvals", std::move(pending)}};
+          {"pending_approvals", std::move(pending)},
+          {"rules_cannot_lower_because", response.has_rules_cannot_lower_because()
+                                             ? Json(response.rules_cannot_lower_because())
+                                             : Json(nullptr)}};
 }
 
 void PrintJson(const Json& json, std::ostream& out) {

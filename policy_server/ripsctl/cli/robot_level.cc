@@ -39,6 +39,12 @@ std::string MaintenanceText(const v1::RobotStatus& status) {
       " (", who.substr(0, who.find(" (")), ")");
 }
 
+std::string LoweringByRulesText(const v1::GetLevelResponse& now) {
+  if (!now.has_rules_cannot_lower_because()) return "";
+  const std::string& why = now.rules_cannot_lower_because();
+  return why.empty() ? "may lower it now" : absl::StrCat("cannot lower it now: ", why);
+}
+
 std::string StageAndPending(const v1::RobotStatus& status) {
   if (status.pending_approvals() == 0) return status.stage();
   return absl::StrCat(status.stage(), "; ", status.pending_approvals(),

@@ -25,6 +25,8 @@ inline constexpr absl::string_view kRaisedWhen = " at the next change of the gra
 void PrintWarnings(const v1::LevelResponse& found, std::ostream& out);
 // What waits for a second operator, in one line; to be escaped.
 std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending);
+// What rules may do to the level now, to be escaped; empty if it is the lowest, or not known.
+std::string LoweringByRulesText(const v1::GetLevelResponse& now);
 // `maintenance until 18:20 UTC (carol)`; empty if the robot is in none. To be escaped.
 std::string MaintenanceText(const v1::RobotStatus& status);
 // `verified`; and how many lowerings wait for a second operator.

@@ -359,6 +359,8 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
     out << "  the firewall of " << EscapeText(drops.host()) << " " << DropsText(drops) << "\n";
     for (const std::string& line : SourceLines(drops, claims)) out << "    from " << line << "\n";
   }
+  const std::string by_rules = LoweringByRulesText(**explanation.now);
+  if (!by_rules.empty()) out << "  rules " << EscapeText(by_rules) << "\n";
   if (!explanation.lowering.has_value()) return;
   PrintLowering(status.robot(), *explanation.lowering, explanation.recorded, out);
   PrintNext(**explanation.now, explanation.lowering->to, out);

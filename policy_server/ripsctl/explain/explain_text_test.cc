@@ -379,6 +379,15 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   recorded.clear_evidence();
   EXPECT_THAT(Print({.recorded = recorded, .now = absl::NotFoundError("no robot `r1`")}),
               HasSubstr("Now: not known: no robot `r1`\n"));
+  EXPECT_THAT(Print({.recorded = recorded, .now = At("COMPROMISED")}), Not(HasSubstr("  rules ")))
+      << "the server does not say";
+  now = At("COMPROMISED");
+  now.set_rules_cannot_lower_because("evidence has been complete for only 0.1 s\n");
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr("\n  rules cannot lower it now: evidence has been complete for only 0.1 "
+                        "s\\x0a\n"));
+  now.set_rules_cannot_lower_because("");
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}), HasSubstr("\n  rules may lower it now\n"));
   const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {
     return Print({.recorded = recorded,
                   .now = At("COMPROMISED"),

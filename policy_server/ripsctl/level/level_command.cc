@@ -40,6 +40,9 @@ class ShowLevel final : public RobotCommand {
     }
     Table table = StatusTable(response.status());
     table.Add({"levels", LevelsText(response)});
+    if (const std::string text = LoweringByRulesText(response); !text.empty()) {
+      table.Add({"rules", text});
+    }
     if (response.has_last()) {
       const v1::Transition& last = response.last();
       table.Add({"last change", absl::StrCat(ShortTime(last.time_unix_ns()), " ", last.from(),

@@ -1,6 +1,8 @@
 #include "policy_server/server/operator_api/level_codec.h"
 
+#include <optional>
 #include <string>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/operator_api/answer_limits.h"
@@ -52,6 +54,9 @@ void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& o
   for (int i = 0; i < levels.size(); ++i) {
     out.add_levels(levels.name(i));
     if (levels.at(i).soft) out.add_soft_levels(levels.name(i));
+  }
+  if (std::optional<std::string> why = core.WhyRulesCannotLower()) {
+    out.set_rules_cannot_lower_because(*std::move(why));
   }
   for (const std::string& level : core.policy().two_person) out.add_two_person_levels(level);
   for (const pipeline::PendingApproval& pending : status.pending_approvals) {

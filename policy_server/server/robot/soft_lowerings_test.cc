@@ -1,6 +1,7 @@
 // The budget of soft lowerings is spent for its ten minutes, however often the server starts.
 #include "policy_server/server/robot/decide/soft_lowerings.h"
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -15,6 +16,8 @@ using ::testing::ElementsAre;
 using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Optional;
+using ::testing::StrEq;
 
 constexpr int64_t kMinute = 60 * kNanosPerSecond;
 
@@ -133,6 +136,28 @@ TEST_F(SoftBudgetTest, ASpentBudgetIsToldAgainOnlyAfterAnOperatorHasResumed) {
   for (int i = 0; i < 4; ++i) ComeAndGo();
   EXPECT_EQ(Lowerings(), 6);
   EXPECT_EQ(audience_.Count(kSpent), 2);
+}
+
+TEST_F(SoftBudgetTest, WhyRulesCannotLowerIsSaidBeforeTheyTry) {
+  const auto why = [this] { return robot_->core().WhyRulesCannotLower(); };
+  Start();
+  Arm();
+  EXPECT_EQ(why(), std::nullopt) << "there is no lower level";
+  for (int i = 0; i < 3; ++i) ComeAndGo();
+  IntruderAppears();
+  ASSERT_EQ(Level(), "ALERT");
+  Obey();
+  EXPECT_THAT(why(), Optional(HasSubstr("evidence has been complete for only 0.")));
+  EXPECT_EQ(why(), why()) << "asking spends nothing";
+  Pass(7'000);
+  EXPECT_THAT(why(), Optional(StrEq("rules have lowered the level 3 times in 10 minutes; `ripsctl "
+                                    "rules resume` lets them again")))
+      << "though no rule has asked for a fourth time";
+  EXPECT_EQ(audience_.Count(kSpent), 0);
+  EXPECT_TRUE(robot_->ResumeRules("alice", "maintenance").ok());
+  EXPECT_THAT(why(), Optional(IsEmpty()));
+  robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"}, [](const auto&) {});
+  EXPECT_THAT(why(), Optional(StrEq("`HALT` is not soft")));
 }
 
 TEST_F(SoftBudgetTest, WhatAnOperatorGaveBackARestartDoesNotTake) {

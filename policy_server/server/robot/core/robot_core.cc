@@ -456,6 +456,17 @@ RulesState RobotCore::rules() const {
           .uptime_ns = context_.now_ns() - state_.started().boottime_ns};
 }
 
+std::optional<std::string> RobotCore::WhyRulesCannotLower() const {
+  if (state_.level.level() == 0) return std::nullopt;
+  if (state_.halted())
+    return "a rule has called `crash`; `ripsctl rules resume` lets rules run again";
+  levels::LevelMachine tried = state_.level;
+  return tried
+      .Request(tried.level() - 1, {}, context_.now(), gate_.Assess(context_.now()),
+               levels::Lateness::kTimely)
+      .detail;
+}
+
 RobotStatus RobotCore::Status() const {
   RobotStatus status{.robot = context_.config.id,
                      .decided_level = state_.level.table().name(state_.level.level()),

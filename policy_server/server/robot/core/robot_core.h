@@ -37,6 +37,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -113,6 +114,9 @@ class RobotCore {
   const Policy& policy() const { return context_.policy; }
   const Watch& watch() const { return context_.watch; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
+  // Why a rule that asks for the next less restrictive level would be refused; empty = it would not,
+  // unset at the lowest level.
+  std::optional<std::string> WhyRulesCannotLower() const;
   // In force.
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
   const GraphHistory::Version& graph_version() const { return state_.graph.version(); }
