@@ -56,10 +56,15 @@ bool AsksLevel(const TypedExpr& expr) {
 
 class Analysis {
  public:
-  // `on_a_tick`: where there is no event, so that no question about one is answered with yes.
-  Analysis(const levels::LevelTable& levels, bool on_a_tick)
+  enum class When {
+    kEver,
+    kOnATick,     // there is no event: a question about one is answered with no
+    kNoneStands,  // no finding does
+  };
+
+  Analysis(const levels::LevelTable& levels, When when)
       : levels_(levels),
-        on_a_tick_(on_a_tick),
+        when_(when),
         all_(levels.size() == 64 ? ~LevelSet{0} : (LevelSet{1} << levels.size()) - 1) {}
 
   LevelSet all() const { return all_; }
@@ -86,8 +91,13 @@ class Analysis {
               .true_alone = left.true_alone | right.true_alone,
               .false_alone = left.false_alone & right.false_alone};
     }
-    if (on_a_tick_ && expr.kind == TypedExpr::Kind::kCall && IsAboutAnEvent(expr.builtin)) {
-      return {.may_be_true = all_, .may_be_false = all_, .false_alone = all_};
+    if (expr.kind == TypedExpr::Kind::kCall) {
+      if (when_ == When::kOnATick && IsAboutAnEvent(expr.builtin)) {
+        return {.may_be_true = all_, .may_be_false = all_, .false_alone = all_};
+      }
+      if (when_ == When::kNoneStands && expr.builtin == Builtin::kFindingStands) {
+        return {.may_be_false = all_};
+      }
     }
     return TruthOfPart(expr);
   }
@@ -174,7 +184,7 @@ class Analysis {
   }
 
   const levels::LevelTable& levels_;
-  const bool on_a_tick_;
+  const When when_;
   const LevelSet all_;
 };
 
@@ -185,8 +195,9 @@ class Lowerings {
       : rules_(rules),
         variable_levels_(variable_levels),
         sink_(sink),
-        analysis_(rules.levels, /*on_a_tick=*/false),
-        ticking_(rules.levels, /*on_a_tick=*/true) {}
+        analysis_(rules.levels, Analysis::When::kEver),
+        ticking_(rules.levels, Analysis::When::kOnATick),
+        none_stands_(rules.levels, Analysis::When::kNoneStands) {}
 
   void Warn(const TypedRule& rule) {
     const auto triggers = [](const TypedChain& chain) {
@@ -200,7 +211,8 @@ class Lowerings {
     // Where the level may be when a chain begins: chains before it may have moved it.
     const Places begin = {.at = truth.may_be_true,
                           .alone = truth.true_alone,
-                          .on_a_tick = ticking_.TruthOf(rule.condition).true_alone};
+                          .on_a_tick = ticking_.TruthOf(rule.condition).true_alone,
+                          .none_stands = none_stands_.TruthOf(rule.condition).may_be_true};
     Places places = begin;
     for (const TypedChain& chain : rule.chains) {
       Places here = places;
@@ -212,21 +224,24 @@ class Lowerings {
         }
         if (action.kind == ActionKind::kTrigger || action.kind == ActionKind::kExec) {
           here = begin.Or(analysis_.all());
+          here.none_stands = analysis_.all();  // by then
         }
       }
     }
   }
 
  private:
-  // Levels at which a trigger may run, and those where nothing else was asked, or nothing but that
-  // there is no event.
+  // Levels at which a trigger may run; those where nothing else was asked, or nothing but that there
+  // is no event; and those where it may run though no finding stands.
   struct Places {
     LevelSet at = 0;
     LevelSet alone = 0;
     LevelSet on_a_tick = 0;
+    LevelSet none_stands = 0;
 
     Places Or(LevelSet more) const {
-      return {at | more, alone == 0 ? 0 : alone | more, on_a_tick == 0 ? 0 : on_a_tick | more};
+      const auto and_more = [more](LevelSet levels) { return levels == 0 ? 0 : levels | more; };
+      return {at | more, and_more(alone), and_more(on_a_tick), and_more(none_stands)};
     }
   };
 
@@ -250,6 +265,9 @@ class Lowerings {
         if (lowers && ((here.alone | here.on_a_tick) & Bit(from)) != 0) {
           return WarnUnguarded(trigger.range, from, (here.alone & Bit(from)) != 0);
         }
+        if (lowers && (here.none_stands & Bit(from)) == 0) {
+          return WarnWhileOneStands(trigger.range, from);
+        }
         acts = acts || lowers || to > from;
         if (to < from && !lowers && !refused) refused = {from, to};
       }
@@ -267,6 +285,14 @@ class Lowerings {
               absl::StrCat("ask that it is over, as in `CurrLevel == ", level,
                            alone ? " && !intruder`, with a variable that other rules set"
                                  : " && !findingstands(\"any\")`"));
+  }
+
+  void WarnWhileOneStands(SourceRange range, int from) {
+    const std::string level = rules_.levels.name(from);
+    sink_.Add(DiagnosticKind::kUnguardedLowering, range,
+              absl::StrCat("this leaves level ", Quote(level), " only while a finding stands"),
+              absl::StrCat("ask that none does, as in `CurrLevel == ", level,
+                           " && !findingstands(\"any\")`"));
   }
 
   void WarnNever(SourceRange range, int from, int to) {
@@ -291,6 +317,7 @@ class Lowerings {
   DiagnosticSink& sink_;
   const Analysis analysis_;
   const Analysis ticking_;
+  const Analysis none_stands_;
 };
 
 }  // namespace
