@@ -14,6 +14,7 @@
 namespace rips::pipeline {
 namespace {
 
+using Asked = FindingRegistry::Asked;
 using News = FindingRegistry::News;
 using ::testing::Contains;
 using ::testing::ElementsAre;
@@ -122,19 +123,36 @@ TEST(FindingsBookTest, ASensorThatFindsSomethingElseIsAskedAndWhatItDoesNotRepea
   book.Apply("base", "i1", Impostor(2), at(1));
   // The end of the second one was lost, and the begin of a third.
   book.OnState("base", DigestOf({Impostor(1), Impostor(3)}), true);
-  EXPECT_FALSE(book.Ask("base", at(2)));
-  EXPECT_FALSE(book.Ask("base", at(6))) << "its next state may be on its way";
+  EXPECT_EQ(book.Ask("base", at(2)), Asked::kNo);
+  EXPECT_EQ(book.Ask("base", at(6)), Asked::kNo) << "its next state may be on its way";
   EXPECT_EQ(book.NotToldAll("base"), "has not confirmed yet what it has reported last");
-  EXPECT_TRUE(book.Ask("base", at(7)));
+  EXPECT_EQ(book.Ask("base", at(7)), Asked::kYes);
   EXPECT_THAT(book.NotToldAll("base"), HasSubstr("finds something else"));
-  EXPECT_FALSE(book.Ask("base", at(66))) << "at most once a minute";
+  EXPECT_EQ(book.Ask("base", at(66)), Asked::kNo) << "at most once a minute";
   book.Apply("base", "i1", Impostor(1), at(8));
   book.Apply("base", "i1", Impostor(3), at(8));
   EXPECT_NE(book.NotToldAll("base"), "");
   ASSERT_THAT(book.Expire(at(67)), SizeIs(1));
   EXPECT_EQ(book.NotToldAll("base"), "");
-  EXPECT_FALSE(book.Ask("base", at(100)));
+  EXPECT_EQ(book.Ask("base", at(100)), Asked::kNo);
   EXPECT_THAT(book.standing(), SizeIs(2));
+}
+
+TEST(FindingsBookTest, ThatASensorWasAskedInVainIsToldOnce) {
+  FindingRegistry book;
+  const auto at = [](int64_t seconds) { return seconds * kNanosPerSecond; };
+  book.OnHello("base", "i1", 0);
+  const auto disagree = [&](int64_t from) {
+    book.OnState("base", 1, true);
+    EXPECT_EQ(book.Ask("base", at(from)), Asked::kNo);
+    EXPECT_EQ(book.Ask("base", at(from + 5)), Asked::kYes);
+    EXPECT_EQ(book.Ask("base", at(from + 65)), Asked::kYesInVain);
+    EXPECT_EQ(book.Ask("base", at(from + 125)), Asked::kYes);
+  };
+  disagree(1);
+  book.OnState("base", 0, true);
+  EXPECT_EQ(book.Ask("base", at(200)), Asked::kNo);
+  disagree(201);
 }
 
 TEST(FindingsBookTest, AnOldEndDoesNotPassForANewOne) {
@@ -146,8 +164,8 @@ TEST(FindingsBookTest, AnOldEndDoesNotPassForANewOne) {
   book.Apply("base", "i1", Over(Impostor(1)), 1);
   EXPECT_THAT(book.standing(), IsEmpty());
   EXPECT_NE(book.NotToldAll("base"), "");
-  EXPECT_FALSE(book.Ask("base", kNanosPerSecond));
-  EXPECT_TRUE(book.Ask("base", 6 * kNanosPerSecond));
+  EXPECT_EQ(book.Ask("base", kNanosPerSecond), Asked::kNo);
+  EXPECT_EQ(book.Ask("base", 6 * kNanosPerSecond), Asked::kYes);
 }
 
 TEST(FindingsBookTest, PastTheLimitNotAllIsTold) {
@@ -157,11 +175,11 @@ TEST(FindingsBookTest, PastTheLimitNotAllIsTold) {
   EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 0), News::kTooMany);
   book.OnState("base", DigestOf({Impostor(1), Impostor(2)}), true);
   EXPECT_EQ(book.NotToldAll("base"), "has reported more findings than the 1 that are kept");
-  EXPECT_FALSE(book.Ask("base", kNanosPerSecond));
-  EXPECT_FALSE(book.Ask("base", 10 * kNanosPerSecond)) << "in vain";
+  EXPECT_EQ(book.Ask("base", kNanosPerSecond), Asked::kNo);
+  EXPECT_EQ(book.Ask("base", 10 * kNanosPerSecond), Asked::kNo) << "in vain";
   book.Apply("base", "i1", Over(Impostor(1)), 10 * kNanosPerSecond);
   EXPECT_NE(book.NotToldAll("base"), "") << "the other one stands";
-  EXPECT_TRUE(book.Ask("base", 20 * kNanosPerSecond));
+  EXPECT_EQ(book.Ask("base", 20 * kNanosPerSecond), Asked::kYes);
 }
 
 TEST(FindingsBookTest, WhatASensorSaidThatIsNotListedAnyMoreEnds) {
@@ -517,6 +535,10 @@ TEST_F(RobotFindingsTest, OfAServerThatWasRestartedASensorIsAskedIfItHasToldMore
   EXPECT_FALSE(laptop->setup.want_snapshot);
   EXPECT_FALSE(sensor_->setup.want_findings);
   pass(1);
+  constexpr char kInVain[] = "sensor laptop says that it finds something else than it has reported";
+  EXPECT_EQ(audience_.Count(kInVain), 0);
+  pass(180);
+  EXPECT_EQ(audience_.Count(kInVain), 1);
   say(0, 2);
   robot_->OnSensorHeartbeat("laptop", laptop.get(), {.clock = clock_.Now()});
   EXPECT_THAT(findings.NotKnown(), IsEmpty()) << "it is over by now";
@@ -562,6 +584,30 @@ TEST_F(RobotFindingsTest, RulesLowerWhenNoFindingStandsAndAllIsTold) {
   SayFindings();
   Pass(20'000);
   EXPECT_EQ(Level(), "DEFAULT");
+}
+
+TEST_F(RobotFindingsTest, AFindingThatBeginsWhileALoweringIsRecordedTakesItBack) {
+  Start(kSoftRules);
+  Arm();
+  Tell(Impostor(1));
+  Pass(300);
+  ASSERT_EQ(Level(), "ALERT");
+  Obey();
+  Tell(Over(Impostor(1)));
+  SayFindings();
+  recorder_.held = true;
+  Pass(10'000);
+  ASSERT_EQ(Level(), "DEFAULT") << "decided, not recorded";
+  // Of a kind that no rule raises the level for.
+  Tell({.kind = "non_ros_writer", .topic = "/t"});
+  recorder_.held = false;
+  recorder_.Release();
+  Drain();
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(actuator_->level()->to, "ALERT");
+  EXPECT_EQ(audience_.Count("a lowering was taken back: while it was recorded, a sensor found "
+                            "something else"),
+            1);
 }
 
 TEST_F(RobotFindingsTest, RulesSeeAFindingOfASensorThatIsSilentAndNoEndOfOne) {

@@ -95,21 +95,25 @@ void FindingRegistry::KeepOnly(absl::FunctionRef<bool(const std::string& host)> 
   absl::erase_if(hosts_, [&](const auto& host) { return !listed(host.first); });
 }
 
-bool FindingRegistry::Ask(const std::string& host, int64_t now_ns) {
+FindingRegistry::Asked FindingRegistry::Ask(const std::string& host, int64_t now_ns) {
   const auto it = hosts_.find(host);
-  if (it == hosts_.end()) return false;
+  if (it == hosts_.end()) return Asked::kNo;
   Host& current = it->second;
   if (!current.differs()) {
     current.differs_ns = 0;
-    return false;
+    current.in_vain = false;
+    return Asked::kNo;
   }
   if (current.differs_ns == 0) current.differs_ns = now_ns;
   // More than are kept would be told in vain.
-  if (entries_.size() >= limits_.standing || now_ns < current.differs_ns + kDiffersNs) return false;
-  if (current.asked_ns != 0 && now_ns < current.asked_ns + limits_.confirm_ns) return false;
+  if (entries_.size() >= limits_.standing || now_ns < current.differs_ns + kDiffersNs) {
+    return Asked::kNo;
+  }
+  if (current.asked_ns != 0 && now_ns < current.asked_ns + limits_.confirm_ns) return Asked::kNo;
+  const bool in_vain = current.asked_ns >= current.differs_ns;
   current.asked_ns = now_ns;
   MayEnd(host, now_ns);
-  return true;
+  return in_vain && !std::exchange(current.in_vain, true) ? Asked::kYesInVain : Asked::kYes;
 }
 
 std::vector<FindingRegistry::Entry> FindingRegistry::Expire(int64_t now_ns) {

@@ -87,8 +87,13 @@ class FindingRegistry {
   void KeepOnly(absl::FunctionRef<bool(const std::string& host)> listed, int64_t now_ns);
   // Takes out, and gives, what nobody has told again in time.
   std::vector<Entry> Expire(int64_t now_ns);
-  // Whether to ask the sensor now to tell again what stands; then it has confirm_ns for it.
-  bool Ask(const std::string& host, int64_t now_ns);
+  enum class Asked {
+    kNo,
+    kYes,        // it has confirm_ns for it
+    kYesInVain,  // it was asked, had its time, and still differs: once until it agrees
+  };
+  // Whether to ask the sensor now to tell again what stands.
+  Asked Ask(const std::string& host, int64_t now_ns);
 
   // Null if it does not stand.
   Entry* Find(const Key& key);
@@ -117,6 +122,8 @@ class FindingRegistry {
     // When that was seen first not to be what it said; 0 = it is.
     int64_t differs_ns = 0;
     int64_t asked_ns = 0;
+    // kYesInVain was answered.
+    bool in_vain = false;
 
     bool differs() const { return said && said->digest && *said->digest != digest; }
   };

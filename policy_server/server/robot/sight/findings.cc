@@ -146,8 +146,16 @@ void Findings::Recount() {
 std::vector<std::string> Findings::ToAsk() {
   std::vector<std::string> hosts;
   for (const auto& [name, host] : sensors_.hosts()) {
-    const bool current = host.session && NotCurrent(host).empty();
-    if (current && registry_.Ask(name, context_.now_ns())) hosts.push_back(name);
+    if (!host.session || !NotCurrent(host).empty()) continue;
+    const FindingRegistry::Asked asked = registry_.Ask(name, context_.now_ns());
+    if (asked == FindingRegistry::Asked::kNo) continue;
+    hosts.push_back(name);
+    if (asked == FindingRegistry::Asked::kYes) continue;
+    alerts_.Raise(engine::Severity::kMedium,
+                  absl::StrCat("sensor ", name,
+                               " says that it finds something else than it has reported, also "
+                               "after it was asked to report all again: what stands is not known. "
+                               "Restart it; if this comes again, find out what uses its key"));
   }
   return hosts;
 }

@@ -44,7 +44,8 @@ class Findings {
   void OnState(const SensorHost& host, const SensorStateSeen& state);
   // The inventory lists others.
   void OnHosts();
-  // Those whose sensors are to tell again what stands. Call it from time to time.
+  // Those whose sensors are to tell again what stands; an alert if that has not helped before. Call
+  // it from time to time.
   std::vector<std::string> ToAsk();
   // Call at least once a second.
   void Expire();
