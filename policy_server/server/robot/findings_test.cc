@@ -1,4 +1,3 @@
-#include <initializer_list>
 #include <optional>
 #include <string>
 #include <vector>
@@ -7,15 +6,12 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/server/robot/robot_fixture.h"
-#include "policy_server/server/robot/sight/finding_registry.h"
 #include "policy_server/server/robot/told_findings.h"
 #include "services/model/finding_digest.h"
 
 namespace rips::pipeline {
 namespace {
 
-using Asked = FindingRegistry::Asked;
-using News = FindingRegistry::News;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
@@ -31,201 +27,6 @@ FindingSeen Impostor(uint8_t number, const std::string& node = "/rips") {
 FindingSeen Over(FindingSeen seen) {
   seen.over = true;
   return seen;
-}
-
-TEST(FindingsBookTest, IsNewsOnceUntilNobodySaysSo) {
-  FindingRegistry book;
-  book.OnHello("base", "i1", 0);
-  book.OnHello("laptop", "j1", 0);
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(1), 0), News::kBegins);
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(1), 0), News::kKnown);
-  EXPECT_EQ(book.Apply("laptop", "j1", Impostor(1), 0), News::kKnown);
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 0), News::kBegins) << "another GUID";
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(1, "/ns/rips"), 0), News::kBegins) << "another node";
-  EXPECT_THAT(book.standing(), SizeIs(3));
-  EXPECT_EQ(book.standing()[1].guid, Impostor(2).guid) << "oldest first";
-
-  EXPECT_EQ(book.Apply("base", "i1", Over(Impostor(1)), 0), News::kKnown) << "laptop says so";
-  EXPECT_EQ(book.Apply("laptop", "j1", Over(Impostor(1)), 0), News::kEnds);
-  EXPECT_EQ(book.Apply("laptop", "j1", Over(Impostor(1)), 0), News::kKnown);
-  EXPECT_THAT(book.standing(), SizeIs(2));
-}
-
-TEST(FindingsBookTest, SensorThatWasStartedAgainMustTellItAgain) {
-  FindingRegistry book({.confirm_ns = 100});
-  book.OnHello("base", "i1", 0);
-  book.Apply("base", "i1", Impostor(1), 0);
-  book.Apply("base", "i1", Impostor(2), 0);
-  book.OnHello("base", "i1", 5);
-  EXPECT_THAT(book.Expire(1'000), IsEmpty()) << "a reconnect is no restart";
-
-  book.OnHello("base", "i2", 1'000);
-  EXPECT_EQ(book.Apply("base", "i2", Impostor(2), 1'050), News::kKnown);
-  EXPECT_THAT(book.Expire(1'099), IsEmpty());
-  const std::vector<FindingRegistry::Entry> gone = book.Expire(1'100);
-  ASSERT_THAT(gone, SizeIs(1));
-  EXPECT_EQ(gone[0].finding.guid, Impostor(1).guid);
-  EXPECT_THAT(book.standing(), SizeIs(1));
-  // What the dead incarnation saw comes late from a spool.
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(3), 2'000), News::kBegins);
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 2'000), News::kKnown);
-  EXPECT_THAT(book.Expire(2'100), SizeIs(1));
-  EXPECT_THAT(book.standing(), SizeIs(1)) << "the live one tells of the other";
-}
-
-TEST(FindingsBookTest, PastTheLimitFindingsAreNotKept) {
-  FindingRegistry book({.standing = 2});
-  EXPECT_EQ(book.Apply("base", "i", Impostor(1), 0), News::kBegins);
-  EXPECT_EQ(book.Apply("base", "i", Impostor(2), 0), News::kBegins);
-  EXPECT_EQ(book.Apply("base", "i", Impostor(3), 0), News::kTooMany);
-  EXPECT_THAT(book.standing(), SizeIs(2));
-  EXPECT_EQ(book.Apply("base", "i", Over(Impostor(3)), 0), News::kKnown);
-  book.Apply("base", "i", Over(Impostor(1)), 0);
-  EXPECT_EQ(book.Apply("base", "i", Impostor(3), 0), News::kBegins);
-}
-
-uint64_t DigestOf(std::initializer_list<FindingSeen> findings) {
-  uint64_t sum = 0;
-  for (const FindingSeen& finding : findings) sum += model::DigestOf(finding);
-  return sum;
-}
-
-TEST(FindingsBookTest, ASensorHasToldAllWhenItSaysSoOfWhatStandsHere) {
-  FindingRegistry book;
-  EXPECT_EQ(book.NotToldAll("base"), "has not said yet which findings stand");
-  book.OnHello("base", "i1", 1'000);
-  EXPECT_EQ(book.NotToldAll("base"), "has not said yet which findings stand");
-  book.OnState("base", std::nullopt, false);
-  EXPECT_EQ(book.NotToldAll("base"), "is of a version that does not say which findings stand");
-  book.OnState("base", 0, false);
-  EXPECT_THAT(book.NotToldAll("base"), HasSubstr("may find more"));
-  book.OnState("base", 0, true);
-  EXPECT_EQ(book.NotToldAll("base"), "");
-  book.Apply("base", "i1", Impostor(1), 2'000);
-  EXPECT_EQ(book.NotToldAll("base"), "has not confirmed yet what it has reported last");
-  book.OnState("base", DigestOf({Impostor(1)}), true);
-  EXPECT_EQ(book.NotToldAll("base"), "");
-  book.Apply("base", "i1", Over(Impostor(1)), 3'000);
-  EXPECT_NE(book.NotToldAll("base"), "");
-  book.OnState("base", 0, true);
-  EXPECT_EQ(book.NotToldAll("base"), "");
-  book.OnHello("base", "i1", 4'000);
-  EXPECT_NE(book.NotToldAll("base"), "") << "in each session anew";
-}
-
-TEST(FindingsBookTest, ASensorThatFindsSomethingElseIsAskedAndWhatItDoesNotRepeatEnds) {
-  FindingRegistry book({.confirm_ns = 60 * kNanosPerSecond});
-  const auto at = [](int64_t seconds) { return seconds * kNanosPerSecond; };
-  book.OnHello("base", "i1", at(1));
-  book.OnHello("laptop", "j1", at(1));
-  book.Apply("base", "i1", Impostor(1), at(1));
-  book.Apply("laptop", "j1", Impostor(1), at(1));
-  book.Apply("base", "i1", Impostor(2), at(1));
-  // The end of the second one was lost, and the begin of a third.
-  book.OnState("base", DigestOf({Impostor(1), Impostor(3)}), true);
-  EXPECT_EQ(book.Ask("base", at(2)), Asked::kNo);
-  EXPECT_EQ(book.Ask("base", at(6)), Asked::kNo) << "its next state may be on its way";
-  EXPECT_EQ(book.NotToldAll("base"), "has not confirmed yet what it has reported last");
-  EXPECT_EQ(book.Ask("base", at(7)), Asked::kYes);
-  EXPECT_THAT(book.NotToldAll("base"), HasSubstr("finds something else"));
-  EXPECT_EQ(book.Ask("base", at(66)), Asked::kNo) << "at most once a minute";
-  book.Apply("base", "i1", Impostor(1), at(8));
-  book.Apply("base", "i1", Impostor(3), at(8));
-  EXPECT_NE(book.NotToldAll("base"), "");
-  ASSERT_THAT(book.Expire(at(67)), SizeIs(1));
-  EXPECT_EQ(book.NotToldAll("base"), "");
-  EXPECT_EQ(book.Ask("base", at(100)), Asked::kNo);
-  EXPECT_THAT(book.standing(), SizeIs(2));
-}
-
-TEST(FindingsBookTest, ThatASensorWasAskedInVainIsToldOnce) {
-  FindingRegistry book;
-  const auto at = [](int64_t seconds) { return seconds * kNanosPerSecond; };
-  book.OnHello("base", "i1", 0);
-  const auto disagree = [&](int64_t from) {
-    book.OnState("base", 1, true);
-    EXPECT_EQ(book.Ask("base", at(from)), Asked::kNo);
-    EXPECT_EQ(book.Ask("base", at(from + 5)), Asked::kYes);
-    EXPECT_EQ(book.Ask("base", at(from + 65)), Asked::kYesInVain);
-    EXPECT_EQ(book.Ask("base", at(from + 125)), Asked::kYes);
-  };
-  disagree(1);
-  book.OnState("base", 0, true);
-  EXPECT_EQ(book.Ask("base", at(200)), Asked::kNo);
-  disagree(201);
-}
-
-TEST(FindingsBookTest, AnOldEndDoesNotPassForANewOne) {
-  FindingRegistry book;
-  book.OnHello("base", "i2", 0);
-  book.Apply("base", "i2", Impostor(1), 0);
-  book.OnState("base", DigestOf({Impostor(1)}), true);
-  // Of an older incarnation, from the spool.
-  book.Apply("base", "i1", Over(Impostor(1)), 1);
-  EXPECT_THAT(book.standing(), IsEmpty());
-  EXPECT_NE(book.NotToldAll("base"), "");
-  EXPECT_EQ(book.Ask("base", kNanosPerSecond), Asked::kNo);
-  EXPECT_EQ(book.Ask("base", 6 * kNanosPerSecond), Asked::kYes);
-}
-
-TEST(FindingsBookTest, PastTheLimitNotAllIsTold) {
-  FindingRegistry book({.standing = 1});
-  book.OnHello("base", "i1", 0);
-  book.Apply("base", "i1", Impostor(1), 0);
-  EXPECT_EQ(book.Apply("base", "i1", Impostor(2), 0), News::kTooMany);
-  book.OnState("base", DigestOf({Impostor(1), Impostor(2)}), true);
-  EXPECT_EQ(book.NotToldAll("base"), "has reported more findings than the 1 that are kept");
-  EXPECT_EQ(book.Ask("base", kNanosPerSecond), Asked::kNo);
-  EXPECT_EQ(book.Ask("base", 10 * kNanosPerSecond), Asked::kNo) << "in vain";
-  book.Apply("base", "i1", Over(Impostor(1)), 10 * kNanosPerSecond);
-  EXPECT_NE(book.NotToldAll("base"), "") << "the other one stands";
-  EXPECT_EQ(book.Ask("base", 20 * kNanosPerSecond), Asked::kYes);
-}
-
-TEST(FindingsBookTest, WhatASensorSaidThatIsNotListedAnyMoreEnds) {
-  FindingRegistry book;
-  for (const char* host : {"base", "laptop"}) book.OnHello(host, "i1", 0);
-  book.Apply("base", "i1", Impostor(1), 0);
-  book.Apply("laptop", "i1", Impostor(1), 0);
-  book.Apply("laptop", "i1", Impostor(2), 0);
-  book.KeepOnly([](const std::string& host) { return host == "base"; }, 5);
-  EXPECT_THAT(book.Expire(5), SizeIs(1));
-  ASSERT_THAT(book.standing(), SizeIs(1));
-  EXPECT_EQ(book.standing()[0].guid, Impostor(1).guid);
-  book.OnHello("laptop", "i1", 6);
-  book.OnState("laptop", 0, true);
-  EXPECT_EQ(book.NotToldAll("laptop"), "") << "listed again, it has told nothing";
-}
-
-TEST(FindingsBookTest, KindsStandUntilTheirLastFindingEnds) {
-  FindingRegistry book;
-  EXPECT_FALSE(book.HasKind("impostor"));
-  book.Apply("base", "i1", Impostor(1), 0);
-  book.Apply("base", "i1", Impostor(2), 0);
-  book.Apply("base", "i1", {.kind = "impostors"}, 0);
-  book.Apply("base", "i1", Over(Impostor(1)), 0);
-  EXPECT_TRUE(book.HasKind("impostor"));
-  book.Apply("base", "i1", Over(Impostor(2)), 0);
-  EXPECT_FALSE(book.HasKind("impostor"));
-  EXPECT_TRUE(book.HasKind("impostors"));
-  EXPECT_FALSE(book.HasKind(""));
-}
-
-TEST(FindingsBookTest, RemembersTheLatestEnds) {
-  FindingRegistry book({.ended = 2});
-  book.OnHello("base", "i1", 0);
-  book.Apply("base", "i1", Impostor(1), 0);
-  book.Find(FindingRegistry::KeyOf(Impostor(1)))->named = true;
-  book.Apply("base", "i1", Over(Impostor(1)), 5);
-  ASSERT_THAT(book.ended(), SizeIs(1));
-  EXPECT_EQ(book.ended().back().key, FindingRegistry::KeyOf(Impostor(1)));
-  EXPECT_EQ(book.ended().back().at_ns, 5);
-  EXPECT_TRUE(book.ended().back().named);
-  book.Apply("base", "i1", Over(Impostor(2)), 6);
-  EXPECT_FALSE(book.ended().back().named) << "it began before the server did";
-  for (uint8_t i = 3; i < 200; ++i) book.Apply("base", "i1", Over(Impostor(i)), i);
-  EXPECT_THAT(book.ended(), SizeIs(2));
-  EXPECT_EQ(book.ended().back().at_ns, 199);
 }
 
 constexpr char kRules[] = R"(
