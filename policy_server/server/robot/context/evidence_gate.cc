@@ -25,6 +25,11 @@ void EvidenceGate::Disturb(const std::string& why, Instant now) {
   disturbed_by_ = broken_by_ = why;
 }
 
+void EvidenceGate::Contradict(const std::string& why, Instant now) {
+  broken_ns_ = now.boottime_ns;
+  broken_by_ = why;
+}
+
 void EvidenceGate::Restart(Instant now) {
   clear_since_ns_ = now.boottime_ns;
   disturbed_by_ = "the level has changed";

@@ -23,12 +23,15 @@ class EvidenceGate {
   void Update(std::vector<std::string> problems, bool level_verified, Instant now);
   // Something happened that spoils evidence although it is over already (a loss, a late batch).
   void Disturb(const std::string& why, Instant now);
+  // Something bad was seen: what was decided before and is still being recorded did not know of it.
+  // The hold goes on, since it was seen.
+  void Contradict(const std::string& why, Instant now);
   // The level has changed: nothing is wrong, and what was seen before says nothing about it.
   void Restart(Instant now);
 
   // Empty blind_because = complete for the whole hold.
   levels::Evidence Assess(Instant now) const;
-  // What has been wrong since, with what was seen; empty = nothing.
+  // What has been wrong since, with what was seen, or what was seen besides; empty = nothing.
   std::string BrokenSince(Instant since) const;
   // Nothing is wrong now, whatever the hold.
   bool complete_now() const { return problems_.empty(); }

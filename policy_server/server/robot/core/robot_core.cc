@@ -81,7 +81,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
       losses_(&context_, &alerts_, &gate_),
       sensors_(&context_, &alerts_, &gate_, &own_agents_, &losses_, start.record),
       sight_(&context_, &alerts_, &own_agents_, &sensors_, &state_.graph),
-      findings_(&context_, &alerts_, &sensors_, &sight_, &state_),
+      findings_(&context_, &alerts_, &sensors_, &sight_, &state_, &gate_),
       actuators_(&context_, &alerts_, &outbox_, &own_agents_, &state_.level),
       drills_(&context_, &alerts_, &actuators_, &state_.level),
       maintenance_(&context_, &window_, &alerts_, &outbox_, &sensors_, &actuators_),

@@ -62,6 +62,7 @@ bool Findings::OnFinding(const std::string& host, const std::string& incarnation
     case FindingRegistry::News::kTooMany:
       SetOther(finding.kind);
       Recount();
+      gate_.Contradict("a sensor found something else", context_.now());
       break;
   }
   // A sensor may make kinds up, and each kind has its own limit.

@@ -19,6 +19,7 @@
 #include "policy_server/policy/engine/state/trace.h"
 #include "policy_server/server/robot/context/alerts.h"
 #include "policy_server/server/robot/context/context.h"
+#include "policy_server/server/robot/context/evidence_gate.h"
 #include "policy_server/server/robot/model/inbound.h"
 #include "policy_server/server/robot/model/standing_findings.h"
 #include "policy_server/server/robot/sensors/sensor_side.h"
@@ -31,9 +32,15 @@ namespace rips::pipeline {
 class Findings {
  public:
   // `state`: of the rules, which see the graph in force, and which findings stand.
+  // `gate`: is told when one begins.
   Findings(Context* context, Alerts* alerts, const SensorSide* sensors, const Sight* sight,
-           engine::RobotState* state)
-      : context_(*context), alerts_(*alerts), sensors_(*sensors), sight_(*sight), state_(*state) {}
+           engine::RobotState* state, EvidenceGate* gate)
+      : context_(*context),
+        alerts_(*alerts),
+        sensors_(*sensors),
+        sight_(*sight),
+        state_(*state),
+        gate_(*gate) {}
 
   // True if rules are to judge it.
   bool OnFinding(const std::string& host, const std::string& incarnation,
@@ -96,6 +103,7 @@ class Findings {
   const SensorSide& sensors_;
   const Sight& sight_;
   engine::RobotState& state_;
+  EvidenceGate& gate_;
   FindingRegistry registry_;
   // Kinds that stand, and those of them that rules cannot name.
   engine::StandingFindings kinds_;
