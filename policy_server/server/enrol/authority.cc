@@ -3,6 +3,8 @@
 #include "absl/strings/str_cat.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/config_sections.h"
+#include "services/runtime/key_mode.h"
+#include "services/runtime/log.h"
 
 namespace rips::enrol {
 namespace {
@@ -17,7 +19,15 @@ absl::StatusOr<std::string> ReadPem(const std::string& path) {
   return text;
 }
 
+// Who reads it makes certificates for all robots and operators.
+absl::Status CheckPrivate(const std::string& key, std::string* warning) {
+  const absl::Status found = CheckKeyMode(key, warning);
+  return found.ok() ? found : OfEnrolment(found.message());
+}
+
 absl::StatusOr<pki::Issuer> ReadIssuer(const IssuingFiles& files, const std::string& ca_pem) {
+  std::string told_at_the_start;
+  RIPS_RETURN_IF_ERROR(CheckPrivate(files.key, &told_at_the_start));
   RIPS_ASSIGN_OR_RETURN(const std::string cert, ReadPem(files.cert));
   RIPS_ASSIGN_OR_RETURN(const std::string key, ReadPem(files.key));
   absl::StatusOr<pki::Issuer> issuer = pki::Issuer::Read(cert, key, ca_pem);
@@ -29,6 +39,9 @@ absl::StatusOr<pki::Issuer> ReadIssuer(const IssuingFiles& files, const std::str
 }  // namespace
 
 absl::Status CheckIssuingFiles(const IssuingFiles& files) {
+  std::string warning;
+  RIPS_RETURN_IF_ERROR(CheckPrivate(files.key, &warning));
+  if (!warning.empty()) LogWarning(warning, {});
   return Authority::Read(files, nullptr).status();
 }
 

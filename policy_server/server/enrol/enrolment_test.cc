@@ -1,5 +1,6 @@
 #include "policy_server/server/enrol/enrolment.h"
 
+#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <set>
@@ -222,6 +223,13 @@ TEST_F(EnrolmentTest, WithoutAUsableKeyItSaysWhichFile) {
   // Mended without a restart.
   std::ofstream(pki_.dir() + "/nowhere.key")
       << std::ifstream(pki_.dir() + "/ca/issuing.key").rdbuf();
+  std::filesystem::permissions(files_.key, std::filesystem::perms(0644));
+  for (const absl::Status& open :
+       {CheckIssuingFiles(files_), Enrol(*token, "sensor", *pki::NewKey()).status()}) {
+    EXPECT_THAT(open, StatusIs(absl::StatusCode::kFailedPrecondition,
+                               HasSubstr("nowhere.key` is open to other users (mode 0644); run ")));
+  }
+  std::filesystem::permissions(files_.key, std::filesystem::perms(0600));
   EXPECT_THAT(CheckIssuingFiles(files_), IsOk());
   EXPECT_THAT(Enrol(*token, "sensor", *pki::NewKey()), IsOk());
 }
