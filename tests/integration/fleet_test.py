@@ -428,7 +428,9 @@ def sensor_on_a_wrong_domain(fleet):
     check(decided(fleet)[-1]["cause"] == "rule calm", "not lowered by the rule")
     check(not fleet.level()["degraded"], f"degraded by {fleet.level()['degraded']}")
     code, out, _ = fleet.ripsctl("robot", "coverage", "r1", check=False)
-    check(code == 0 and "BLIND" not in out, f"coverage: {code}, {out}")
+    # In its first minute the sensor does not say that it has told all findings.
+    check((code == 0 or "not all findings are known: " in out) and "BLIND" not in out,
+          f"coverage: {code}, {out}")
 
 
 def kill_actuator_while_compromised(fleet):

@@ -1,6 +1,6 @@
 // `ripsctl robot interest` and `ripsctl robot coverage`: what the rules ask of a robot's sensors,
 // and what the sensors see. `coverage` exits with 0 if the graph is complete, each of its endpoints
-// is watched, not needed or of a service, and there is no finding; else with 1.
+// is watched, not needed or of a service, and it is known that no finding stands; else with 1.
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <string>
@@ -69,9 +69,9 @@ bool Complete(const v1::GetCoverageResponse& response) {
     graph |= sensor.primary() && sensor.settled();
   }
   return graph && response.blind().empty() && !response.graph_truncated() &&
-         response.findings().empty() && response.skipped().empty() &&
-         response.cut_payloads().empty() && response.endpoints_left_out() == 0 &&
-         Count(response)[Seen::kNotVisible] == 0;
+         response.findings().empty() && response.findings_now().not_known().empty() &&
+         response.skipped().empty() && response.cut_payloads().empty() &&
+         response.endpoints_left_out() == 0 && Count(response)[Seen::kNotVisible] == 0;
 }
 
 const char* YesNo(bool value) { return value ? "yes" : "no"; }
@@ -159,7 +159,7 @@ class ShowCoverage final : public RobotCommand {
   ShowCoverage()
       : RobotCommand({"robot", "coverage",
                       "Show which of a robot's endpoints the sensors see; exit with 1 if any is "
-                      "not visible or a finding stands"}) {}
+                      "not visible, or a finding stands or may stand"}) {}
   void AddFlags(CLI::App& app) override {
     RobotCommand::AddFlags(app);
     app.add_flag("--all", all_, "Show every endpoint, not only those that are not visible");
