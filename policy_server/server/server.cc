@@ -649,6 +649,11 @@ absl::Status Server::Listen() {
     return metrics_.AddCounter("rips_streams_total", "Streams opened by agents.",
                                {{"agent", agent}});
   };
+  const auto pauses = [this](const char* agent) {
+    return metrics_.AddCounter("rips_reading_pauses_total",
+                               "Times that a stream was not read, since that takes too long.",
+                               {{"agent", agent}});
+  };
   const wire_limits::LimitCounters fields_refused(&metrics_);
   sensors_ = std::make_unique<ingest::SensorService>(
       pipeline_.get(), watch_.get(),
@@ -657,7 +662,8 @@ absl::Status Server::Listen() {
                             .interests_refused = metrics_.AddCounter(
                                 "rips_interests_refused_total",
                                 "Lists of wanted payloads that sensors could not apply."),
-                            .fields_refused = fields_refused},
+                            .fields_refused = fields_refused,
+                            .pauses = pauses("sensor")},
       &listed_.contacts);
   actuators_ = std::make_unique<dispatch::ActuatorService>(
       pipeline_.get(), watch_.get(),
@@ -665,7 +671,8 @@ absl::Status Server::Listen() {
           .malformed = malformed("actuator"),
           .streams = streams("actuator"),
           .commands = metrics_.AddCounter("rips_commands_total", "Commands sent to actuators."),
-          .fields_refused = fields_refused},
+          .fields_refused = fields_refused,
+          .pauses = pauses("actuator")},
       audit_ == nullptr
           ? dispatch::AuditHeads()
           : dispatch::AuditHeads{

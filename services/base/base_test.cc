@@ -2,6 +2,7 @@
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "services/base/cpu_budget.h"
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
 #include "services/base/status_matchers.h"
@@ -54,6 +55,19 @@ TEST(DecisionIdTest, RefusesWhatIsNotADecisionId) {
   for (const char* text : {"", "1", "1.", ".1", "1.2.3", "a.b", "-1.2", "1.99999999999999999999"}) {
     EXPECT_THAT(ParseDecisionId(text), StatusIs(absl::StatusCode::kInvalidArgument)) << text;
   }
+}
+
+TEST(CpuBudgetTest, SavesABurstAndFlowsInWithTime) {
+  CpuBudget budget(/*per_second_ns=*/250 * kNanosPerMilli, /*burst_ns=*/500 * kNanosPerMilli, 0);
+  EXPECT_FALSE(budget.Spent(0));
+  budget.Charge(600 * kNanosPerMilli);
+  EXPECT_TRUE(budget.Spent(0));
+  EXPECT_TRUE(budget.Spent(399 * kNanosPerMilli));
+  EXPECT_FALSE(budget.Spent(401 * kNanosPerMilli));
+  EXPECT_FALSE(budget.Spent(1'000'000 * kNanosPerMilli));
+  budget.Charge(501 * kNanosPerMilli);
+  EXPECT_TRUE(budget.Spent(1'000'000 * kNanosPerMilli)) << "no more than the burst was saved";
+  EXPECT_TRUE(budget.Spent(0)) << "time that goes back changes nothing";
 }
 
 }  // namespace

@@ -2,7 +2,9 @@
 #ifndef RIPS_SERVICES_RPC_SERVER_STREAM_H_
 #define RIPS_SERVICES_RPC_SERVER_STREAM_H_
 
+#include <chrono>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
 
 #include "google/protobuf/arena.h"
@@ -35,10 +37,12 @@ class ServerStream : public grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::Byte
     RIPS_CHECK(encoded.ok(), "a message that cannot be encoded");
     ServerBidiReactor::StartWrite(&outgoing_);
   }
+  // For Outbound: the stream pauses.
+  void Read() { StartRead(&incoming_); }
 
  protected:
   ServerStream() : outbound_(std::make_shared<Outbound>(this)) {}
-  void Begin() { StartRead(&incoming_); }
+  void Begin() { Read(); }
 
   // A message of `bytes` bytes has come. False: it is neither decoded nor given to OnMessage.
   virtual bool OnBytes(size_t /*bytes*/, google::protobuf::io::ZeroCopyInputStream& /*encoded*/) {
@@ -47,6 +51,8 @@ class ServerStream : public grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::Byte
   // One message, which lives until this returns; its texts may be taken. Reactions of one stream's
   // reads never overlap.
   virtual void OnMessage(In& message) = 0;
+  // That is done, and took so long. False: no more is read until outbound()->Resume().
+  virtual bool OnRead(size_t /*bytes*/, int64_t /*took_ns*/) { return true; }
   // The stream ends because a message of the peer could not be decoded, or because the peer
   // half-closed it, which no agent does. Before OnEnded.
   virtual void OnUnreadable() {}
@@ -58,10 +64,14 @@ class ServerStream : public grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::Byte
     if (!ok) return EndUnreadable("the stream was half-closed, or a message was too large");
     // Its read was under way when the stream was ended.
     if (outbound_->ended()) return;
+    const auto began = std::chrono::steady_clock::now();
+    const size_t bytes = incoming_.Length();
     if (!Take()) return EndUnreadable("a message cannot be decoded (is a text not UTF-8?)");
     arena_.Reset();
     incoming_.Clear();
-    StartRead(&incoming_);
+    const std::chrono::nanoseconds took = std::chrono::steady_clock::now() - began;
+    if (OnRead(bytes, took.count())) return Read();
+    outbound_->Pause();
   }
   // False if it cannot be decoded.
   bool Take() {

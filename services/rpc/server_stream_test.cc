@@ -3,6 +3,7 @@
 #include <memory>
 #include <string>
 
+#include "absl/time/clock.h"
 #include "gtest/gtest.h"
 #include "services/rpc/test_pki.h"
 #include "services/rpc/test_service.h"
@@ -29,6 +30,7 @@ class StreamService final
   std::atomic<size_t> bytes_max = SIZE_MAX;  // of a message that is decoded
   std::atomic<bool> refuse = false;          // the first message, once `gate` is closed
   BoundedQueue<int> gate{{.capacity = 1}};
+  std::atomic<bool> pause = false;  // after each message
 
  private:
   class Echo final : public Stream {
@@ -52,6 +54,7 @@ class StreamService final
       reply.mutable_heartbeat()->set_echo_boottime_ns(message.heartbeat().clock().boottime_ns());
       outbound()->Send(std::move(reply));
     }
+    bool OnRead(size_t, int64_t) override { return !service_->pause; }
     void OnUnreadable() override { ++service_->unreadable; }
     void OnEnded() override { service_->ended.Push(1); }
 
@@ -120,6 +123,32 @@ class ServerStreamTest : public ::testing::Test {
 TestPki* ServerStreamTest::pki_ = nullptr;
 std::shared_ptr<const Credentials>* ServerStreamTest::server_credentials_ = nullptr;
 std::shared_ptr<const Credentials>* ServerStreamTest::client_credentials_ = nullptr;
+
+TEST_F(ServerStreamTest, ReadsNoMoreUntilItIsResumedAndCanBeEndedMeanwhile) {
+  service_.pause = true;
+  Caller caller(Connect());
+  const auto outbound = service_.opened.Pop(kPatience);
+  ASSERT_TRUE(outbound);
+  v1::SensorReply reply;
+  ASSERT_TRUE(caller.Heartbeat(1));
+  ASSERT_TRUE(caller.stream->Read(&reply));
+  ASSERT_TRUE(caller.Heartbeat(2));
+  absl::SleepFor(absl::Milliseconds(50));
+  EXPECT_EQ(service_.messages, 1);
+  // It may not pause yet at the first of these.
+  while (service_.messages < 2) {
+    (*outbound)->Resume();
+    absl::SleepFor(absl::Milliseconds(1));
+  }
+  ASSERT_TRUE(caller.stream->Read(&reply));
+  EXPECT_EQ(reply.heartbeat().echo_boottime_ns(), 2u);
+
+  (*outbound)->Close(grpc::Status(grpc::StatusCode::UNAVAILABLE, "the end"));
+
+  EXPECT_EQ(caller.End().error_message(), "the end");
+  EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
+  (*outbound)->Resume();
+}
 
 TEST_F(ServerStreamTest, CutsOffAPeerThatDoesNotReadAndServesOthers) {
   Caller other(Connect());

@@ -31,7 +31,8 @@ void SessionWatch::set_before_look(std::function<void()> before) {
 
 std::shared_ptr<SessionWatch::Session> SessionWatch::Add(
     Peer peer, std::function<void(const grpc::Status&)> close,
-    std::function<void(const grpc::Status&)> close_when_sent, std::function<void(int64_t)> reap) {
+    std::function<void(const grpc::Status&)> close_when_sent, std::function<void(int64_t)> reap,
+    std::function<void()> resume) {
   auto session = std::make_shared<Session>();
   const Instant now = clock_->Now();
   session->opened_boottime_ns = now.boottime_ns;
@@ -40,6 +41,10 @@ std::shared_ptr<SessionWatch::Session> SessionWatch::Add(
   session->close_when_sent = close_when_sent != nullptr ? std::move(close_when_sent) : close;
   session->close = std::move(close);
   session->reap = std::move(reap);
+  if (resume != nullptr) {
+    session->resume = std::move(resume);
+    session->pace = paces_.Of(ToString(session->peer.identity), now.boottime_ns);
+  }
   MutexLock lock(&mu_);
   sessions_.push_back(session);
   return session;
@@ -76,6 +81,11 @@ void SessionWatch::Heard(Session& session, size_t bytes) {
   if (session.connection != nullptr) session.connection->OnMessage(bytes);
 }
 
+ReadingPace::Next SessionWatch::OnRead(Session& session, size_t bytes, int64_t took_ns) {
+  if (session.pace == nullptr) return ReadingPace::Next::kRead;
+  return session.pace->OnRead(bytes, took_ns, clock_->Now().boottime_ns);
+}
+
 void SessionWatch::CheckSessions() {
   std::function<void()> before;
   absl::Duration silence;
@@ -86,9 +96,11 @@ void SessionWatch::CheckSessions() {
   }
   if (before) before();
   const int64_t now_ns = clock_->Now().boottime_ns;
+  paces_.Prune(now_ns);
   for (const auto& session : Live()) {
     if (session->reap != nullptr) session->reap(now_ns);
     if (session->closed) continue;
+    if (session->resume != nullptr && session->pace->MayRead(now_ns)) session->resume();
     const absl::Duration open = absl::Nanoseconds(now_ns - session->opened_boottime_ns);
     std::optional<Refusal> refusal = gate_->Against(session->peer);
     if (!refusal && open > session->left) {

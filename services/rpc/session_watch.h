@@ -23,6 +23,8 @@
 #include "grpcpp/support/status.h"
 #include "services/base/clock.h"
 #include "services/rpc/call_gate.h"
+#include "services/rpc/identity.h"
+#include "services/rpc/reading_pace.h"
 #include "services/rpc/unread_streams.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/ticker.h"
@@ -55,6 +57,10 @@ class SessionWatch {
     std::function<void(const grpc::Status&)> close_when_sent;
     // Called at each look with CLOCK_BOOTTIME, as StreamOutbound::Reap. May be null.
     std::function<void(int64_t)> reap;
+    // Called at each look while `pace` allows it: the stream reads again, if it pauses. Both null =
+    // it is read however dear it is.
+    std::function<void()> resume;
+    std::shared_ptr<ReadingPace> pace;
   };
 
   // Looks every `interval`, on a thread of its own; InfiniteDuration = only when asked. `clock` and
@@ -75,7 +81,8 @@ class SessionWatch {
   // Watched until the caller drops what is returned.
   std::shared_ptr<Session> Add(Peer peer, std::function<void(const grpc::Status&)> close,
                                std::function<void(const grpc::Status&)> close_when_sent = nullptr,
-                               std::function<void(int64_t)> reap = nullptr);
+                               std::function<void(int64_t)> reap = nullptr,
+                               std::function<void()> resume = nullptr);
   // As Add, for a StreamOutbound: it gets the limits of its kind, and is cancelled when its peer
   // reads not even its end. Before its first Send.
   template <typename Outbound>
@@ -87,6 +94,9 @@ class SessionWatch {
   void set_unread(UnreadStreams* unread) { unread_ = unread; }
   // A message of the session's stream came, of so many bytes.
   void Heard(Session& session, size_t bytes);
+  // A message of so many bytes took `took_ns` to be read. Unless kRead is answered, the stream is
+  // to read no more until `resume`.
+  ReadingPace::Next OnRead(Session& session, size_t bytes, int64_t took_ns);
   // Ends what is due now: DEADLINE_EXCEEDED without a hello or a heartbeat, or as CallGate refuses
   // the peer.
   void CheckSessions();
@@ -107,6 +117,7 @@ class SessionWatch {
   std::function<void()> before_look_ ABSL_GUARDED_BY(mu_);
   absl::Duration silence_ ABSL_GUARDED_BY(mu_) = kSilence;
   std::vector<std::weak_ptr<Session>> sessions_ ABSL_GUARDED_BY(mu_);
+  ReadingPaces paces_;
   std::optional<Ticker> ticker_;  // last: uses the others
 };
 
@@ -123,7 +134,8 @@ std::shared_ptr<SessionWatch::Session> SessionWatch::Guard(
       peer, [outbound](const grpc::Status& status) { outbound->Close(status); },
       agent ? [outbound](const grpc::Status& status) { outbound->CloseWhenSent(status); }
             : std::function<void(const grpc::Status&)>(),
-      [outbound](int64_t now_ns) { outbound->Reap(now_ns); });
+      [outbound](int64_t now_ns) { outbound->Reap(now_ns); },
+      agent ? [outbound] { outbound->Resume(); } : std::function<void()>());
 }
 
 }  // namespace rips::rpc

@@ -40,7 +40,8 @@ struct OutboundLimits {
   std::function<void(const std::string&)> exceeded = nullptr;
 };
 
-// `Reactor` has StartWrite(const Out*) and Finish(grpc::Status). Any thread; never blocks.
+// `Reactor` has StartWrite(const Out*) and Finish(grpc::Status), and Read() if it ever pauses. Any
+// thread; never blocks.
 template <typename Reactor, typename Out>
 class StreamOutbound {
  public:
@@ -142,6 +143,19 @@ class StreamOutbound {
     }
   }
 
+  // The reactor reads no more until Resume, which may come from any thread.
+  void Pause() ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    paused_ = true;
+  }
+  // No effect unless it pauses.
+  void Resume() ABSL_LOCKS_EXCLUDED(mu_) {
+    MutexLock lock(&mu_);
+    if constexpr (requires { reactor_->Read(); }) {
+      if (reactor_ != nullptr && !finishing_ && std::exchange(paused_, false)) reactor_->Read();
+    }
+  }
+
   // From the reactor's OnWriteDone.
   void OnWritten(bool ok) ABSL_LOCKS_EXCLUDED(mu_) {
     MutexLock lock(&mu_);
@@ -229,6 +243,7 @@ class StreamOutbound {
   size_t outgoing_bytes_ ABSL_GUARDED_BY(mu_) = 0;
   bool writing_ ABSL_GUARDED_BY(mu_) = false;
   bool finishing_ ABSL_GUARDED_BY(mu_) = false;
+  bool paused_ ABSL_GUARDED_BY(mu_) = false;
   // When Reap saw first that the call had ended; 0 = it has not.
   int64_t ended_ns_ ABSL_GUARDED_BY(mu_) = 0;
   // What the call ends with once nothing waits.

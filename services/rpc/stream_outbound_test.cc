@@ -17,9 +17,11 @@ using Token = std::shared_ptr<const int>;
 
 struct FakeReactor {
   void StartWrite(const Token* message) { writing.push_back(**message); }
+  void Read() { ++reads; }
   void Finish(grpc::Status status) { ends.push_back(std::move(status)); }
   std::vector<int> writing;
   std::vector<grpc::Status> ends;
+  int reads = 0;
 };
 using FakeOutbound = StreamOutbound<FakeReactor, Token>;
 
@@ -37,6 +39,23 @@ TEST(StreamOutboundTest, WritesOneAfterTheOtherInOrder) {
   EXPECT_TRUE(outbound.Send(MakeToken(4)));
   EXPECT_THAT(reactor.writing, ElementsAre(1, 2, 3, 4));
   EXPECT_TRUE(outbound.open());
+}
+
+TEST(StreamOutboundTest, ReadsAgainOnlyIfItPausesAndIsOpen) {
+  FakeReactor reactor;
+  FakeOutbound outbound(&reactor);
+  outbound.Resume();
+  EXPECT_EQ(reactor.reads, 0) << "a read is under way";
+  outbound.Pause();
+  outbound.Resume();
+  outbound.Resume();
+  EXPECT_EQ(reactor.reads, 1);
+  outbound.Pause();
+  outbound.Close(grpc::Status::CANCELLED);
+  outbound.Resume();
+  outbound.Detach();
+  outbound.Resume();
+  EXPECT_EQ(reactor.reads, 1);
 }
 
 TEST(StreamOutboundTest, OneMoreThanTheLimitEndsTheCallAndLetsGoOfWhatWaited) {

@@ -6,7 +6,7 @@ import struct
 import threading
 import time
 
-from fleet import page
+from fleet import cpu_seconds, page
 from guarded import ATTACK_S, SERVED_S, check, quick, scenario
 from peer import Ended, Peer, pb
 
@@ -328,6 +328,47 @@ def members_that_are_dear_to_parse(fleet):
     """r2's key sends 4 MiB in which a hello and a batch, both empty, replace each other a million
     times."""
     send_dear_messages(fleet, b"\x0a\x00\x12\x00" * 1_000_000)
+
+
+@quick
+def heartbeats_dear_to_parse(fleet):
+    """r2's key sends heartbeats without end, each behind 128,000 members that replace each other: too
+    little memory to be refused."""
+    arm_beside_r2(fleet)
+    body = b"\x0a\x00\x12\x00" * 64_000
+    sent = 0
+    used = 0.0
+
+    def attack():
+        nonlocal sent, used
+        deadline = time.monotonic() + ATTACK_S
+        began = cpu_seconds(fleet.server)
+        while time.monotonic() < deadline:
+            try:
+                sensor = StolenSensor(fleet)
+                heartbeat = pb("SensorMessage")()
+                while time.monotonic() < deadline:
+                    heartbeat.heartbeat.clock.boottime_ns = time.clock_gettime_ns(
+                        time.CLOCK_BOOTTIME)
+                    heartbeat.heartbeat.clock.unix_ns = time.time_ns()
+                    sensor.stream.send(body + heartbeat.SerializeToString())
+                    sent += 1
+                    sensor.stream.received.clear()
+            except (Ended, TimeoutError, OSError):
+                time.sleep(0.2)
+        used = cpu_seconds(fleet.server) - began
+
+    beside(fleet, attack)
+    pauses = [float(line.rpartition(" ")[2])
+              for line in page(fleet.server, "metrics").splitlines()
+              if line.startswith('rips_reading_pauses_total{agent="sensor"}')]
+    print(f"{sent} messages sent, {pauses[0]:.0f} pauses, the server used {used:.2f} s")
+    fleet.unharmed()
+    check(pauses[0] > 0, "it was read however dear it was")
+    # What it may use at once and in the time, as much again in the kernel and in TLS, and what
+    # the others take.
+    check(used <= 1 + 0.4 * ATTACK_S, f"the server used {used:.2f} s in {ATTACK_S:.0f} s")
+    fleet.told_of("r2", "sensor r2/base at")
 
 
 @quick

@@ -7,8 +7,8 @@
 #include <string>
 #include <utility>
 
+#include "policy_server/server/shard/agent_alerts.h"
 #include "policy_server/server/shard/mailbox.h"
-#include "policy_server/server/shard/refused_field.h"
 #include "services/model_proto/actuator_codec.h"
 #include "services/model_proto/configuration_codec.h"
 #include "services/ros2/ros_name.h"
@@ -232,6 +232,16 @@ class ActuatorStream final : public Stream {
     // A robot that is not in the inventory, or held.
     if (!std::exchange(refused_, true)) LogRefusal(posted);
     outbound()->Close(rpc::ToGrpc(posted));
+  }
+
+  bool OnRead(size_t bytes, int64_t took_ns) override {
+    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, bytes, took_ns);
+    if (next == rpc::ReadingPace::Next::kRead) return true;
+    metrics_.pauses.Increment();
+    if (next == rpc::ReadingPace::Next::kPauseIsNews) {
+      pipeline::TellReadSlowly(*pipeline_, "actuator", mailbox_->robot(), host_, address_);
+    }
+    return false;
   }
 
   void OnUnreadable() override {

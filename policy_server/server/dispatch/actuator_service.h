@@ -23,6 +23,8 @@ struct DispatchMetrics {
   Counter commands;
   // Messages with a field past its limit.
   wire_limits::LimitCounters fields_refused = {};
+  // In which a stream was not read, since what came on it was dear to read.
+  Counter pauses = {};
 };
 
 // The audit log, as actuators carry its heads. Empty without one. Any thread; never block.

@@ -10,8 +10,8 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/ingest/interest_codec.h"
 #include "policy_server/server/ingest/observation_decoder.h"
+#include "policy_server/server/shard/agent_alerts.h"
 #include "policy_server/server/shard/mailbox.h"
-#include "policy_server/server/shard/refused_field.h"
 #include "services/model_proto/configuration_codec.h"
 #include "services/ros2/ros_name.h"
 #include "services/rpc/peer.h"
@@ -327,6 +327,16 @@ class SensorStream final : public Stream {
     // A robot that is not in the inventory, or held.
     if (!std::exchange(refused_, true)) LogRefusal(posted);
     outbound()->Close(rpc::ToGrpc(posted));
+  }
+
+  bool OnRead(size_t bytes, int64_t took_ns) override {
+    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, bytes, took_ns);
+    if (next == rpc::ReadingPace::Next::kRead) return true;
+    metrics_.pauses.Increment();
+    if (next == rpc::ReadingPace::Next::kPauseIsNews) {
+      pipeline::TellReadSlowly(*pipeline_, "sensor", mailbox_->robot(), host_, address_);
+    }
+    return false;
   }
 
   void OnUnreadable() override {

@@ -19,6 +19,8 @@ struct IngestMetrics {
   Counter interests_refused;
   // Messages with a field past its limit.
   wire_limits::LimitCounters fields_refused = {};
+  // In which a stream was not read, since what came on it was dear to read.
+  Counter pauses = {};
 };
 
 // Robot, host and role are taken from the certificate alone.

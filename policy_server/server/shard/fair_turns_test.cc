@@ -60,19 +60,6 @@ TEST(FairTurnsTest, WhoHasLeftWaitsNoMore) {
   EXPECT_TRUE(turns.empty());
 }
 
-TEST(CpuBudgetTest, SavesABurstAndFlowsInWithTime) {
-  CpuBudget budget(/*per_second_ns=*/250 * kMilli, /*burst_ns=*/500 * kMilli, 0);
-  EXPECT_FALSE(budget.Spent(0));
-  budget.Charge(600 * kMilli);
-  EXPECT_TRUE(budget.Spent(0));
-  EXPECT_TRUE(budget.Spent(399 * kMilli));
-  EXPECT_FALSE(budget.Spent(401 * kMilli));
-  EXPECT_FALSE(budget.Spent(1'000'000 * kMilli));
-  budget.Charge(501 * kMilli);
-  EXPECT_TRUE(budget.Spent(1'000'000 * kMilli)) << "no more than the burst was saved";
-  EXPECT_TRUE(budget.Spent(0)) << "time that goes back changes nothing";
-}
-
 TEST(CostMeterTest, ShortWorkCostsWhatItLastedAndLongWorkItsCpuTime) {
   int64_t cpu_ns = 1'000;
   int reads = 0;

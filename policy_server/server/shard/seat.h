@@ -15,6 +15,7 @@
 #include "absl/base/thread_annotations.h"
 #include "policy_server/server/robot/robot.h"
 #include "policy_server/server/shard/fair_turns.h"
+#include "services/base/cpu_budget.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::pipeline {

@@ -1,0 +1,45 @@
+// What a robot's operators hear when one of its agents sends what none of ours does. Header only.
+#ifndef RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_ALERTS_H_
+#define RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_ALERTS_H_
+
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/string_view.h"
+#include "policy_server/server/shard/pipeline.h"
+
+namespace rips::pipeline {
+
+// An alert of `robot`, whose agent (`sensor`, `actuator`) sent it. Any thread. `what`: field, size
+// and limit. One kind of alert for the robot, whatever the field (kOwnAlertLimits).
+inline void TellRefusedField(Pipeline& pipeline, absl::string_view agent, const std::string& robot,
+                             absl::string_view host, absl::string_view address,
+                             absl::string_view what) {
+  pipeline
+      .Post(robot, Lane::kControl,
+            [text = absl::StrCat(agent, " ", robot, "/", host, " at ", address,
+                                 " sent a message past a limit: ", what,
+                                 "; its stream was closed. No agent of RIPS sends this: find out "
+                                 "what uses its key")](Robot& each) {
+              each.Report(engine::Severity::kHigh, text);
+            })
+      .IgnoreError();  // of a robot that is not served; it is logged and counted
+}
+
+// As above, of an agent whose messages cost too much to be read (rpc::ReadingPace).
+inline void TellReadSlowly(Pipeline& pipeline, absl::string_view agent, const std::string& robot,
+                           absl::string_view host, absl::string_view address) {
+  pipeline
+      .Post(robot, Lane::kControl,
+            [text = absl::StrCat(agent, " ", robot, "/", host, " at ", address,
+                                 " sends what takes more of the server's processor to read than "
+                                 "one agent may use: it is read more slowly, so what it says "
+                                 "comes late. An agent of RIPS does so only with far more "
+                                 "traffic than a robot has: find out what uses its key")](
+                Robot& each) { each.Report(engine::Severity::kHigh, text); })
+      .IgnoreError();  // as above; it is counted
+}
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_SHARD_AGENT_ALERTS_H_
