@@ -81,7 +81,7 @@ void Encode(const pipeline::FindingState& state, rips::v1::FindingState& out) {
 
 void EncodeFindings(const pipeline::Robot& robot, const rips::v1::GetCoverageRequest& request,
                     rips::v1::GetCoverageResponse& out) {
-  const pipeline::Findings& findings = robot.core().findings();
+  const pipeline::FindingsKnown& findings = robot.core().findings().known();
   Encode(findings.Now(), *out.mutable_findings_now());
   if (!request.has_finding()) return;
   const rips::v1::Finding& asked = request.finding();
@@ -96,7 +96,7 @@ void EncodeFindings(const pipeline::Robot& robot, const rips::v1::GetCoverageReq
 void EncodeLists(const pipeline::Robot& robot, rips::v1::GetCoverageResponse& out) {
   AnswerRoom room(kAnswerBytesMax - std::min(kAnswerBytesMax, out.ByteSizeLong()));
   AnswerRoom for_findings(room.left() / 2);
-  for (const pipeline::FindingSeen& finding : robot.core().findings().standing()) {
+  for (const pipeline::FindingSeen& finding : robot.core().findings().known().standing()) {
     rips::v1::Finding one;
     Encode(finding, one);
     if (!for_findings.Take(one) || !room.Take(one)) {
@@ -150,7 +150,7 @@ void EncodeInterest(const pipeline::Robot& robot, rips::v1::GetInterestResponse&
 
 rips::v1::RobotStatus EncodeListed(const pipeline::Robot& robot) {
   rips::v1::RobotStatus out = EncodeStatus(robot.Status());
-  const pipeline::Findings& findings = robot.core().findings();
+  const pipeline::FindingsKnown& findings = robot.core().findings().known();
   out.set_findings(findings.total());
   out.set_findings_not_known(!findings.NotKnown().empty());
   return out;

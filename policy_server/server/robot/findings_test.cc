@@ -66,8 +66,8 @@ TEST_F(RobotFindingsTest, IsAnAlertAndAnEventOnceAndARecordWhenItIsOver) {
               "00000000.00000000.00000001.00000000: why");
   }
   EXPECT_EQ(audience_.Count("somebody plays RIPS"), 1);
-  ASSERT_THAT(robot_->core().findings().standing(), SizeIs(1));
-  EXPECT_EQ(robot_->core().findings().standing()[0].node, "/rips");
+  ASSERT_THAT(robot_->core().findings().known().standing(), SizeIs(1));
+  EXPECT_EQ(robot_->core().findings().known().standing()[0].node, "/rips");
 
   Tell(finding);
   Pass(100);
@@ -76,7 +76,7 @@ TEST_F(RobotFindingsTest, IsAnAlertAndAnEventOnceAndARecordWhenItIsOver) {
   const size_t alerts = audience_.alerts.size();
   Tell(Over(finding));
   Pass(100);
-  EXPECT_THAT(robot_->core().findings().standing(), IsEmpty());
+  EXPECT_THAT(robot_->core().findings().known().standing(), IsEmpty());
   ASSERT_EQ(audience_.alerts.size(), alerts + 1);
   const store::AlertRecord& end = audience_.alerts.back();
   EXPECT_EQ(end.severity, "info");
@@ -236,7 +236,7 @@ TEST_F(RobotFindingsTest, EndsThatExceedTheLimitAreFoldedToo) {
 TEST_F(RobotFindingsTest, StateOfAFindingIsToldOnlyAsFarAsItIsKnown) {
   using State = FindingState::State;
   Start(kRules);
-  const Findings& findings = robot_->core().findings();
+  const FindingsKnown& findings = robot_->core().findings().known();
   const auto reasons = [&](const FindingSeen& of) { return findings.StateOf(of).not_known; };
   EXPECT_THAT(findings.NotKnown(), ElementsAre("sensor base is not connected"));
   EXPECT_EQ(findings.StateOf(Impostor(1)).state, State::kNotKnown);
@@ -294,7 +294,7 @@ TEST_F(RobotFindingsTest, ASilentSensorOrABacklogIsNotTheLatestWord) {
   Tell(Impostor(1));
   sensor_heartbeats_ = false;
   Pass(2'000);
-  const Findings& findings = robot_->core().findings();
+  const FindingsKnown& findings = robot_->core().findings().known();
   EXPECT_THAT(findings.NotKnown(), ElementsAre("sensor base is silent"));
   EXPECT_THAT(findings.StateOf(Impostor(1)).not_known, ElementsAre("sensor base is silent"));
   robot_->OnSensorGone("base", sensor_.get());
@@ -326,7 +326,7 @@ TEST_F(RobotFindingsTest, OfAServerThatWasRestartedASensorIsAskedIfItHasToldMore
   };
   SayFindings();
   say(model::DigestOf(Impostor(1)), 1);
-  const Findings& findings = robot_->core().findings();
+  const FindingsKnown& findings = robot_->core().findings().known();
   EXPECT_THAT(findings.NotKnown(),
               ElementsAre("sensor laptop has not confirmed yet what it has reported last"));
   pass(4);
@@ -492,7 +492,7 @@ TEST_F(RobotFindingsTest, InBriefThereAreCountsByKindAndTheNewest) {
   Start(kRules);
   Arm();
   SayFindings();
-  const Findings& findings = robot_->core().findings();
+  const FindingsKnown& findings = robot_->core().findings().known();
   EXPECT_EQ(findings.Now().total, 0u);
   EXPECT_THAT(findings.Now().not_known, IsEmpty());
   ros2::GraphDelta delta;
@@ -546,7 +546,7 @@ TEST_F(RobotFindingsTest, FloodOfFindingsIsFoldedAndBounded) {
                             "alert; 4076 of them stood as reported last (sensor base has reported "
                             "more findings than the 4096 that are kept); "),
             1);
-  EXPECT_THAT(robot_->core().findings().standing(), SizeIs(4'096));
+  EXPECT_THAT(robot_->core().findings().known().standing(), SizeIs(4'096));
 }
 
 TEST_F(RobotFindingsTest, RestartedSensorThatDoesNotTellThemAgainEndsThem) {
@@ -560,9 +560,9 @@ TEST_F(RobotFindingsTest, RestartedSensorThatDoesNotTellThemAgainEndsThem) {
                         {.incarnation = "fedcba9876543210", .clock = clock_.Now()});
   sensor_heartbeats_ = true;
   Pass(59'000);
-  EXPECT_THAT(robot_->core().findings().standing(), SizeIs(1));
+  EXPECT_THAT(robot_->core().findings().known().standing(), SizeIs(1));
   Pass(2'000);
-  EXPECT_THAT(robot_->core().findings().standing(), IsEmpty());
+  EXPECT_THAT(robot_->core().findings().known().standing(), IsEmpty());
   EXPECT_THAT(audience_.rule_logs,
               Contains(HasSubstr("not told again by a sensor that was restarted")));
 }

@@ -10,7 +10,7 @@ namespace rips::pipeline {
 
 inline SensorStateSeen ToldFindings(const Robot& robot, bool all_told = true) {
   SensorStateSeen state{.findings_digest = 0, .findings_all_told = all_told};
-  for (const FindingSeen& each : robot.core().findings().standing()) {
+  for (const FindingSeen& each : robot.core().findings().known().standing()) {
     *state.findings_digest += model::DigestOf(each);
   }
   return state;

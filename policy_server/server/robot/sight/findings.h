@@ -1,5 +1,5 @@
 // The findings of a robot's sensors: each that begins is an alert, whatever the rules say, and so
-// is the end of one that an alert names. Pure.
+// is the end of one that an alert names. Rules are told which stand. Pure.
 //
 //   alert          severity   limit (AlertLimiter)         beyond it, a summary
 //   a finding      high       one for each kind of rules   how many, how many of these stand, and
@@ -21,9 +21,9 @@
 #include "policy_server/server/robot/context/context.h"
 #include "policy_server/server/robot/context/evidence_gate.h"
 #include "policy_server/server/robot/model/inbound.h"
-#include "policy_server/server/robot/model/standing_findings.h"
 #include "policy_server/server/robot/sensors/sensor_side.h"
 #include "policy_server/server/robot/sight/finding_registry.h"
+#include "policy_server/server/robot/sight/findings_known.h"
 #include "policy_server/server/robot/sight/sight.h"
 
 namespace rips::pipeline {
@@ -38,9 +38,9 @@ class Findings {
       : context_(*context),
         alerts_(*alerts),
         sensors_(*sensors),
-        sight_(*sight),
         state_(*state),
-        gate_(*gate) {}
+        gate_(*gate),
+        known_(context, sensors, sight, state, &registry_) {}
 
   // True if rules are to judge it.
   bool OnFinding(const std::string& host, const std::string& incarnation,
@@ -61,16 +61,9 @@ class Findings {
   // Raises the summaries that are due. Call it before Alerts::Summarize.
   void Summarize();
 
-  // Oldest first.
-  std::vector<FindingSeen> standing() const { return registry_.standing(); }
   // As of the last Update.
   const engine::StandingFindings& seen_by_rules() const { return state_.findings; }
-  size_t total() const { return registry_.entries().size(); }
-  FindingsNow Now() const;
-  // Of the finding with that kind, GUID, node and topic.
-  FindingState StateOf(const FindingSeen& finding) const;
-  // Why more may stand than is known, or some of it no longer; empty = the sensors have told all.
-  std::vector<std::string> NotKnown() const;
+  const FindingsKnown& known() const { return known_; }
 
  private:
   // A kind of alerts of which some were folded away.
@@ -84,16 +77,9 @@ class Findings {
     friend auto operator<=>(const Folded&, const Folded&) = default;
   };
 
-  // Why what the sensor says may be old; empty = it is not.
-  std::string NotCurrent(const SensorHost& host) const;
-  // Why the sensor may have more to tell, or less; empty = it has told all.
-  std::string NotToldAll(const SensorHost& host) const;
-  engine::SharedTrace TraceOf(const FindingSeen& finding) const;
-  int64_t UnixOf(int64_t boottime_ns) const;
   // After one of that kind has begun or ended; then Recount.
   void SetOther(const std::string& kind);
   void Recount();
-  void Log(absl::string_view what, const FindingSeen& finding);
   void RaiseEnd(absl::string_view what, FindingSeen finding, bool named);
   std::string SummaryOf(const Folded& kind, const FoldedAlerts& folded,
                         FindingRegistry::Entry* newest, size_t standing) const;
@@ -101,10 +87,10 @@ class Findings {
   Context& context_;
   Alerts& alerts_;
   const SensorSide& sensors_;
-  const Sight& sight_;
   engine::RobotState& state_;
   EvidenceGate& gate_;
   FindingRegistry registry_;
+  const FindingsKnown known_;
   // Kinds that stand, and those of them that rules cannot name.
   engine::StandingFindings kinds_;
   absl::btree_set<std::string> others_;
