@@ -650,8 +650,7 @@ absl::Status Server::Listen() {
                                {{"agent", agent}});
   };
   const auto pauses = [this](const char* agent) {
-    return metrics_.AddCounter("rips_reading_pauses_total",
-                               "Times that a stream was not read, since that takes too long.",
+    return metrics_.AddCounter("rips_reading_pauses_total", "Times that a session was not read.",
                                {{"agent", agent}});
   };
   const wire_limits::LimitCounters fields_refused(&metrics_);

@@ -1,21 +1,23 @@
-// How much processor time what a peer sends may take to be read: to be parsed, decoded and passed
-// on, whatever comes of it. The threads of gRPC read all peers, so a message that is dear to read
+// How much processor time what an agent sends may take to be read: to be parsed, decoded and passed
+// on, whatever comes of it. The threads of gRPC read all agents, so a message that is dear to read
 // costs the others.
 //
-//   the messages of one peer, on all its streams                    its streams
-//   have taken more than `per_second_ns` a second, and `burst_ns`   are not read until the next look
-//   at once                                                         of SessionWatch after that; what
-//                                                                   it sends waits in the network
-//   take that again after `again_ns`                                the same, and it is news again
+//   a stream                                            is read
+//   that the robot has not admitted as a session        one message, its hello; then when it is
+//                                                       admitted, or at a look of SessionWatch
+//   of a session, and the agent's sessions have taken   no more, until a look of SessionWatch
+//   more than `per_second_ns` a second, and `burst_ns`  finds that paid back; what it sends waits
+//   at once                                             in the network. News each `again_ns`
 //
-// A message costs the time that passes, since a thread's CPU clock is dear to ask, but at most what
-// its bytes can cost: a thread may be kept from its work. Pure: times are arguments.
+// Streams that are not admitted are not charged: who has a copy of an agent's key could make its
+// session pause. Times are arguments.
 #ifndef RIPS_SERVICES_RPC_READING_PACE_H_
 #define RIPS_SERVICES_RPC_READING_PACE_H_
 
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "absl/base/thread_annotations.h"
@@ -29,13 +31,28 @@ namespace rips::rpc {
 struct ReadingLimits {
   int64_t per_second_ns = 100 * kNanosPerMilli;
   int64_t burst_ns = 500 * kNanosPerMilli;
-  // What a byte, and a message beside its bytes, can cost.
-  int64_t byte_ns = 100;
-  int64_t message_ns = 100'000;
   int64_t again_ns = 600 * kNanosPerSecond;
 };
 
-// Of one peer. Any thread; times are CLOCK_BOOTTIME.
+// Measures how long a message takes to be read: by the CPU clock of its thread, or, if it is short
+// and that system call would be a large part of it, by what time passes, but no more than its bytes
+// can cost. One thread.
+class ReadingCost {
+ public:
+  explicit ReadingCost(size_t bytes);
+  // Since then, in nanoseconds.
+  int64_t Take() const;
+
+ private:
+  static constexpr size_t kShortBytes = 16 << 10;
+  static constexpr int64_t kByteNs = 100;
+  static constexpr int64_t kMessageNs = 20'000;
+
+  const size_t bytes_;
+  const int64_t began_ns_;
+};
+
+// Of one agent. Any thread; times are CLOCK_BOOTTIME.
 class ReadingPace {
  public:
   enum class Next {
@@ -47,9 +64,9 @@ class ReadingPace {
   ReadingPace(const ReadingLimits& limits, int64_t now_ns)
       : limits_(limits), budget_(limits.per_second_ns, limits.burst_ns, now_ns), last_ns_(now_ns) {}
 
-  // A message of so many bytes was read in `took_ns`.
-  Next OnRead(size_t bytes, int64_t took_ns, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
-  // Whether streams that pause may read again.
+  // A message took so long to be read.
+  Next OnRead(int64_t took_ns, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
+  // Whether a stream that pauses may be read again.
   bool MayRead(int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
   // Nothing that it did counts any more.
   bool Forgotten(int64_t now_ns) const ABSL_LOCKS_EXCLUDED(mu_);
@@ -60,11 +77,11 @@ class ReadingPace {
   CpuBudget budget_ ABSL_GUARDED_BY(mu_);
   // Of its newest message.
   int64_t last_ns_ ABSL_GUARDED_BY(mu_);
-  // When a pause was news last; 0 = never.
-  int64_t news_ns_ ABSL_GUARDED_BY(mu_) = 0;
+  // When a pause was news last.
+  std::optional<int64_t> news_ns_ ABSL_GUARDED_BY(mu_);
 };
 
-// Of all peers. Any thread.
+// Of all agents. Any thread.
 class ReadingPaces {
  public:
   explicit ReadingPaces(const ReadingLimits& limits = {}) : limits_(limits) {}

@@ -2,7 +2,6 @@
 #ifndef RIPS_SERVICES_RPC_SERVER_STREAM_H_
 #define RIPS_SERVICES_RPC_SERVER_STREAM_H_
 
-#include <chrono>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -15,6 +14,7 @@
 #include "grpcpp/support/proto_buffer_writer.h"
 #include "grpcpp/support/server_callback.h"
 #include "services/base/check.h"
+#include "services/rpc/reading_pace.h"
 #include "services/rpc/stream_outbound.h"
 
 namespace rips::rpc {
@@ -51,8 +51,10 @@ class ServerStream : public grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::Byte
   // One message, which lives until this returns; its texts may be taken. Reactions of one stream's
   // reads never overlap.
   virtual void OnMessage(In& message) = 0;
-  // That is done, and took so long. False: no more is read until outbound()->Resume().
-  virtual bool OnRead(size_t /*bytes*/, int64_t /*took_ns*/) { return true; }
+  // That is done, and took so long. False: no more is read until outbound()->Resume(), and until
+  // MayRead is true.
+  virtual bool OnRead(int64_t /*took_ns*/) { return true; }
+  virtual bool MayRead() { return true; }
   // The stream ends because a message of the peer could not be decoded, or because the peer
   // half-closed it, which no agent does. Before OnEnded.
   virtual void OnUnreadable() {}
@@ -64,14 +66,14 @@ class ServerStream : public grpc::ServerBidiReactor<grpc::ByteBuffer, grpc::Byte
     if (!ok) return EndUnreadable("the stream was half-closed, or a message was too large");
     // Its read was under way when the stream was ended.
     if (outbound_->ended()) return;
-    const auto began = std::chrono::steady_clock::now();
-    const size_t bytes = incoming_.Length();
+    const ReadingCost cost(incoming_.Length());
     if (!Take()) return EndUnreadable("a message cannot be decoded (is a text not UTF-8?)");
     arena_.Reset();
     incoming_.Clear();
-    const std::chrono::nanoseconds took = std::chrono::steady_clock::now() - began;
-    if (OnRead(bytes, took.count())) return Read();
+    if (OnRead(cost.Take())) return Read();
     outbound_->Pause();
+    // What it waits for may have come before it paused.
+    if (MayRead()) outbound_->Resume();
   }
   // False if it cannot be decoded.
   bool Take() {

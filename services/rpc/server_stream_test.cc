@@ -31,6 +31,7 @@ class StreamService final
   std::atomic<bool> refuse = false;          // the first message, once `gate` is closed
   BoundedQueue<int> gate{{.capacity = 1}};
   std::atomic<bool> pause = false;  // after each message
+  std::atomic<bool> resumed_meanwhile = false;
 
  private:
   class Echo final : public Stream {
@@ -54,7 +55,8 @@ class StreamService final
       reply.mutable_heartbeat()->set_echo_boottime_ns(message.heartbeat().clock().boottime_ns());
       outbound()->Send(std::move(reply));
     }
-    bool OnRead(size_t, int64_t) override { return !service_->pause; }
+    bool OnRead(int64_t) override { return !service_->pause; }
+    bool MayRead() override { return service_->resumed_meanwhile; }
     void OnUnreadable() override { ++service_->unreadable; }
     void OnEnded() override { service_->ended.Push(1); }
 
@@ -148,6 +150,17 @@ TEST_F(ServerStreamTest, ReadsNoMoreUntilItIsResumedAndCanBeEndedMeanwhile) {
   EXPECT_EQ(caller.End().error_message(), "the end");
   EXPECT_TRUE(service_.ended.Pop(kPatience).has_value());
   (*outbound)->Resume();
+}
+
+TEST_F(ServerStreamTest, WhatItWaitsForMayComeBeforeItPauses) {
+  service_.pause = true;
+  service_.resumed_meanwhile = true;
+  Caller caller(Connect());
+  v1::SensorReply reply;
+  for (const uint64_t each : {1, 2, 3}) {
+    ASSERT_TRUE(caller.Heartbeat(each));
+    ASSERT_TRUE(caller.stream->Read(&reply));
+  }
 }
 
 TEST_F(ServerStreamTest, CutsOffAPeerThatDoesNotReadAndServesOthers) {

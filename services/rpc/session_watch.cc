@@ -81,9 +81,13 @@ void SessionWatch::Heard(Session& session, size_t bytes) {
   if (session.connection != nullptr) session.connection->OnMessage(bytes);
 }
 
-ReadingPace::Next SessionWatch::OnRead(Session& session, size_t bytes, int64_t took_ns) {
+ReadingPace::Next SessionWatch::OnRead(Session& session, int64_t took_ns) {
   if (session.pace == nullptr) return ReadingPace::Next::kRead;
-  return session.pace->OnRead(bytes, took_ns, clock_->Now().boottime_ns);
+  return session.pace->OnRead(took_ns, clock_->Now().boottime_ns);
+}
+
+bool SessionWatch::MayRead(Session& session) {
+  return session.pace == nullptr || session.pace->MayRead(clock_->Now().boottime_ns);
 }
 
 void SessionWatch::CheckSessions() {

@@ -57,8 +57,8 @@ class SessionWatch {
     std::function<void(const grpc::Status&)> close_when_sent;
     // Called at each look with CLOCK_BOOTTIME, as StreamOutbound::Reap. May be null.
     std::function<void(int64_t)> reap;
-    // Called at each look while `pace` allows it: the stream reads again, if it pauses. Both null =
-    // it is read however dear it is.
+    // Called at each look while `pace` allows it: the stream reads again, if it pauses. Both are
+    // null of who is no agent: it is read however dear that is.
     std::function<void()> resume;
     std::shared_ptr<ReadingPace> pace;
   };
@@ -94,9 +94,10 @@ class SessionWatch {
   void set_unread(UnreadStreams* unread) { unread_ = unread; }
   // A message of the session's stream came, of so many bytes.
   void Heard(Session& session, size_t bytes);
-  // A message of so many bytes took `took_ns` to be read. Unless kRead is answered, the stream is
-  // to read no more until `resume`.
-  ReadingPace::Next OnRead(Session& session, size_t bytes, int64_t took_ns);
+  // A message of an agent's session, which its robot has admitted, took so long to be read. Unless
+  // kRead is answered, the stream is to read no more until `resume`.
+  ReadingPace::Next OnRead(Session& session, int64_t took_ns);
+  bool MayRead(Session& session);
   // Ends what is due now: DEADLINE_EXCEEDED without a hello or a heartbeat, or as CallGate refuses
   // the peer.
   void CheckSessions();

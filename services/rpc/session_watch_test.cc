@@ -71,20 +71,22 @@ TEST_F(SessionWatchTest, EndsAnAgentsStreamThatFallsSilent) {
   EXPECT_THAT(watcher.ends, IsEmpty()) << "who only listens sends nothing";
 }
 
-TEST_F(SessionWatchTest, StreamsOfAPeerThatIsDearToReadPauseTogether) {
+TEST_F(SessionWatchTest, SessionsOfAnAgentThatIsDearToReadPauseTogether) {
   int resumed = 0;
   const auto add = [&](const char* robot) {
     return watch_.Add(
-        {.identity = {.role = Role::kSensor, .robot = robot}, .not_after = Wall()},
-        [](const grpc::Status&) {}, nullptr, nullptr, [&resumed] { ++resumed; });
+        {.identity = {.role = Role::kSensor, .robot = robot}, .not_after = Wall() + absl::Hours(1)},
+        [](const grpc::Status&) { FAIL(); }, nullptr, nullptr, [&resumed] { ++resumed; });
   };
   const auto first = add("r1");
   const auto second = add("r1");
   const auto other = add("r2");
   using Next = ReadingPace::Next;
-  EXPECT_EQ(watch_.OnRead(*first, 10 << 20, 600 * kNanosPerMilli), Next::kPauseIsNews);
-  EXPECT_EQ(watch_.OnRead(*second, 0, 0), Next::kPause);
-  EXPECT_EQ(watch_.OnRead(*other, 0, 0), Next::kRead);
+  EXPECT_EQ(watch_.OnRead(*first, 600 * kNanosPerMilli), Next::kPauseIsNews);
+  EXPECT_EQ(watch_.OnRead(*second, 0), Next::kPause);
+  EXPECT_EQ(watch_.OnRead(*other, 0), Next::kRead);
+  EXPECT_FALSE(watch_.MayRead(*second));
+  EXPECT_TRUE(watch_.MayRead(*other));
   watch_.CheckSessions();
   EXPECT_EQ(resumed, 1) << "that of r2, which does not mind";
   clock_.Advance(1'100 * kNanosPerMilli);
@@ -92,7 +94,7 @@ TEST_F(SessionWatchTest, StreamsOfAPeerThatIsDearToReadPauseTogether) {
   EXPECT_EQ(resumed, 4);
   Watched operator_stream;
   Add(&operator_stream);
-  EXPECT_EQ(watch_.OnRead(*operator_stream.session, 10 << 20, 600 * kNanosPerMilli), Next::kRead);
+  EXPECT_EQ(watch_.OnRead(*operator_stream.session, 600 * kNanosPerMilli), Next::kRead);
 }
 
 TEST_F(SessionWatchTest, EachStreamHasItsOwnFiveSeconds) {

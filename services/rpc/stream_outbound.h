@@ -23,22 +23,10 @@
 #include "absl/strings/str_cat.h"
 #include "absl/time/time.h"
 #include "grpcpp/support/status.h"
-#include "services/rpc/send_budget.h"
+#include "services/rpc/outbound_limits.h"
 #include "services/runtime/mutex.h"
 
 namespace rips::rpc {
-
-struct OutboundLimits {
-  // That wait to be written, the one being written included.
-  size_t messages = 4'096;
-  // Their size in memory, one message excepted.
-  size_t bytes = size_t{8} << 20;
-  // Shared with other streams; null = not. `owner`: whose stream this is.
-  std::shared_ptr<SendBudget> budget = nullptr;
-  std::string owner = "";
-  // Called once when the call is ended for a limit, with the reason; no lock is held. May be empty.
-  std::function<void(const std::string&)> exceeded = nullptr;
-};
 
 // `Reactor` has StartWrite(const Out*) and Finish(grpc::Status), and Read() if it ever pauses. Any
 // thread; never blocks.

@@ -330,12 +330,15 @@ def members_that_are_dear_to_parse(fleet):
     send_dear_messages(fleet, b"\x0a\x00\x12\x00" * 1_000_000)
 
 
+# A hello and a batch, both empty, replace each other: all are parsed, and the last one counts.
+MEMBERS = b"\x0a\x00\x12\x00" * 64_000
+
+
 @quick
 def heartbeats_dear_to_parse(fleet):
-    """r2's key sends heartbeats without end, each behind 128,000 members that replace each other: too
-    little memory to be refused."""
+    """r2's key sends heartbeats without end, each behind 128,000 members that replace each other:
+    too little memory to be refused."""
     arm_beside_r2(fleet)
-    body = b"\x0a\x00\x12\x00" * 64_000
     sent = 0
     used = 0.0
 
@@ -351,7 +354,7 @@ def heartbeats_dear_to_parse(fleet):
                     heartbeat.heartbeat.clock.boottime_ns = time.clock_gettime_ns(
                         time.CLOCK_BOOTTIME)
                     heartbeat.heartbeat.clock.unix_ns = time.time_ns()
-                    sensor.stream.send(body + heartbeat.SerializeToString())
+                    sensor.stream.send(MEMBERS + heartbeat.SerializeToString())
                     sent += 1
                     sensor.stream.received.clear()
             except (Ended, TimeoutError, OSError):
@@ -368,7 +371,41 @@ def heartbeats_dear_to_parse(fleet):
     # What it may use at once and in the time, as much again in the kernel and in TLS, and what
     # the others take.
     check(used <= 1 + 0.4 * ATTACK_S, f"the server used {used:.2f} s in {ATTACK_S:.0f} s")
-    fleet.told_of("r2", "sensor r2/base at")
+    fleet.told_of("r2", "sends what takes more of the server's processor to read")
+
+
+@quick
+def dear_hellos_beside_a_live_sensor(fleet):
+    """The key of a robot whose sensor is connected begins streams without end, each with a hello
+    that is dear to read: its sensor is neither slowed nor replaced."""
+    arm_beside_r2(fleet)
+    sent = 0
+
+    def attack():
+        nonlocal sent
+        deadline = time.monotonic() + ATTACK_S
+        hello = pb("SensorMessage")()
+        hello.hello.hello.protocol = 1
+        hello.hello.hello.incarnation = os.urandom(16)
+        hello.hello.hello.host = "base"
+        while time.monotonic() < deadline:
+            try:
+                peer = Peer(fleet.port, fleet.dir / "pki/sensor/probe/base")
+                for _ in range(8):
+                    hello.hello.hello.clock.boottime_ns = time.clock_gettime_ns(
+                        time.CLOCK_BOOTTIME)
+                    stream = peer.call("rips.v1.SensorService", "Observe")
+                    stream.send(MEMBERS + hello.SerializeToString())
+                    sent += 1
+                    time.sleep(0.05)
+                peer.close()
+            except (Ended, TimeoutError, OSError):
+                time.sleep(0.2)
+
+    beside(fleet, attack)
+    print(f"{sent} hellos sent")
+    fleet.unharmed()  # of the probe's streams none was lost
+    fleet.told_of("probe", "a second process uses the key of")
 
 
 @quick

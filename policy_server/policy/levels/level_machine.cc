@@ -67,9 +67,9 @@ Transition LevelMachine::Request(LevelIndex to, const Cause& cause, Instant now,
   }
   if (!SpendBudget(now)) {
     return Refused(std::move(proposed), Refusal::kBudget,
-                   absl::StrCat("rules have lowered the level ", budget_.lowerings_max,
-                                " times in ", budget_.window_ns / (60 * kNanosPerSecond),
-                                " minutes; `ripsctl rules resume` lets them again"));
+                   absl::StrCat("rules lowered the level ", budget_.lowerings_max, " times within ",
+                                budget_.window_ns / (60 * kNanosPerSecond),
+                                " minutes, and may do so again after `ripsctl rules resume`"));
   }
   return Decide(std::move(proposed));
 }

@@ -42,7 +42,8 @@ std::string MaintenanceText(const v1::RobotStatus& status) {
 std::string LoweringByRulesText(const v1::GetLevelResponse& now) {
   if (!now.has_rules_cannot_lower_because()) return "";
   const std::string& why = now.rules_cannot_lower_because();
-  return why.empty() ? "may lower it now" : absl::StrCat("cannot lower it now: ", why);
+  return why.empty() ? "may lower it when their conditions hold"
+                     : absl::StrCat("cannot lower it now: ", why);
 }
 
 std::string StageAndPending(const v1::RobotStatus& status) {

@@ -387,7 +387,8 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
               HasSubstr("\n  rules cannot lower it now: evidence has been complete for only 0.1 "
                         "s\\x0a\n"));
   now.set_rules_cannot_lower_because("");
-  EXPECT_THAT(Print({.recorded = recorded, .now = now}), HasSubstr("\n  rules may lower it now\n"));
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr("\n  rules may lower it when their conditions hold\n"));
   const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {
     return Print({.recorded = recorded,
                   .now = At("COMPROMISED"),

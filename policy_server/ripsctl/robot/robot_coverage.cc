@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -61,6 +62,13 @@ Counts Count(const v1::GetCoverageResponse& response) {
   return counts;
 }
 
+// Why others may stand than those that are shown, or some of these may have ended.
+std::vector<std::string> NotKnown(const v1::GetCoverageResponse& response) {
+  if (!response.has_findings_now()) return {"the policy server does not say; it is older"};
+  const auto& reasons = response.findings_now().not_known();
+  return {reasons.begin(), reasons.end()};
+}
+
 // Is everything seen that is there to be seen?
 bool Complete(const v1::GetCoverageResponse& response) {
   bool graph = false;
@@ -69,9 +77,9 @@ bool Complete(const v1::GetCoverageResponse& response) {
     graph |= sensor.primary() && sensor.settled();
   }
   return graph && response.blind().empty() && !response.graph_truncated() &&
-         response.findings().empty() && response.findings_now().not_known().empty() &&
-         response.skipped().empty() && response.cut_payloads().empty() &&
-         response.endpoints_left_out() == 0 && Count(response)[Seen::kNotVisible] == 0;
+         response.findings().empty() && NotKnown(response).empty() && response.skipped().empty() &&
+         response.cut_payloads().empty() && response.endpoints_left_out() == 0 &&
+         Count(response)[Seen::kNotVisible] == 0;
 }
 
 const char* YesNo(bool value) { return value ? "yes" : "no"; }
@@ -230,7 +238,7 @@ class ShowCoverage final : public RobotCommand {
             {"sensors", JsonList(response.sensors(), SensorJson)},
             {"endpoints", JsonList(response.endpoints(), EndpointJson)},
             {"findings", JsonList(response.findings(), FindingJson)},
-            {"findings_not_known_because", JsonList(response.findings_now().not_known())}};
+            {"findings_not_known_because", NotKnown(response)}};
   }
 
   void PrintText(const v1::GetCoverageResponse& response, std::ostream& out) const {
@@ -274,8 +282,9 @@ class ShowCoverage final : public RobotCommand {
       }
       cut.Print(out);
     }
-    if (!response.findings_now().not_known().empty()) out << "\n";
-    for (const std::string& reason : response.findings_now().not_known()) {
+    const std::vector<std::string> not_known = NotKnown(response);
+    if (!not_known.empty()) out << "\n";
+    for (const std::string& reason : not_known) {
       out << "not all findings are known: " << EscapeText(reason) << "\n";
     }
     if (response.findings().empty()) return;

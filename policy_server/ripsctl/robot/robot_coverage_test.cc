@@ -59,6 +59,7 @@ class RobotCoverageTest : public testing::Test {
     Endpoint(v1::Endpoint::PUBLISHER, "/rosout", "/talker", v1::NOT_NEEDED);
     Endpoint(v1::Endpoint::SERVICE, "/talker/get_parameters", "/talker", v1::NOT_VISIBLE);
     Endpoint(v1::Endpoint::CLIENT, "/talker/get_parameters", "/listener", v1::NOT_VISIBLE);
+    fake_.coverage.mutable_findings_now();
   }
   ~RobotCoverageTest() override { server_->Shutdown(); }
 
@@ -261,6 +262,15 @@ TEST_F(RobotCoverageTest, FindingsAreExitCodeOne) {
   EXPECT_THAT(text.out, HasSubstr("FINDING         NODE     TOPIC  DETAIL\n"
                                   "duplicate_node  /talker  -      two of them\\x1b[2J\n"));
   EXPECT_EQ(RunJson({"robot", "coverage", "r1"}, 1)["findings"][0]["kind"], "duplicate_node");
+}
+
+TEST_F(RobotCoverageTest, AnOlderServerDoesNotSayThatAllFindingsAreKnown) {
+  fake_.coverage.clear_findings_now();
+  const Result text = Run({"robot", "coverage", "r1"});
+  EXPECT_EQ(text.code, 1);
+  EXPECT_THAT(text.out,
+              HasSubstr("\nnot all findings are known: the policy server does not say; it "
+                        "is older\n"));
 }
 
 TEST_F(RobotCoverageTest, SaysWhyNotAllFindingsAreKnown) {

@@ -65,6 +65,7 @@ class Link final : public pipeline::ActuatorLink {
             contacts_->Greeted({robot_, pipeline::AgentKind::kActuator, host_}, std::move(said_));
       }
       admitted_ = true;
+      outbound_->Resume();  // it pauses since its hello
       if (const auto left_out = logs_->Admit(robot_)) {
         LogInfo("actuator connected",
                 {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
@@ -82,6 +83,8 @@ class Link final : public pipeline::ActuatorLink {
     outbound_->Send(std::move(reply));
     commands_.Increment();
   }
+  // The robot has taken the stream as a session. Any thread.
+  bool admitted() const { return admitted_; }
   void Close(const absl::Status& status) override {
     if (const auto left_out = logs_->Admit(robot_)) {
       LogWarning(admitted_ ? "actuator stream closed" : "actuator refused",
@@ -234,8 +237,9 @@ class ActuatorStream final : public Stream {
     outbound()->Close(rpc::ToGrpc(posted));
   }
 
-  bool OnRead(size_t bytes, int64_t took_ns) override {
-    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, bytes, took_ns);
+  bool OnRead(int64_t took_ns) override {
+    if (!link_->admitted()) return false;
+    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, took_ns);
     if (next == rpc::ReadingPace::Next::kRead) return true;
     metrics_.pauses.Increment();
     if (next == rpc::ReadingPace::Next::kPauseIsNews) {
@@ -243,6 +247,7 @@ class ActuatorStream final : public Stream {
     }
     return false;
   }
+  bool MayRead() override { return link_->admitted() && watch_->MayRead(*session_); }
 
   void OnUnreadable() override {
     if (session_ == nullptr || refused_) return;

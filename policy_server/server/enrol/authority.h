@@ -23,8 +23,8 @@ struct IssuingFiles {
   std::string ca;
 };
 
-// What is wrong with them, a key that other users may read included; OK = certificates can be signed,
-// if the issuer is valid now.
+// What is wrong with them, a key that other users may read included; OK = certificates can be
+// signed, if the issuer is valid now.
 absl::Status CheckIssuingFiles(const IssuingFiles& files);
 
 struct SigningOrder {

@@ -42,7 +42,8 @@ class Link final : public pipeline::SensorLink {
 
   // Once, before the hello is posted.
   void SetPeer(std::string robot, std::string host, std::string address,
-               const rips::v1::Hello& hello) {
+               const rips::v1::SensorHello& in) ABSL_LOCKS_EXCLUDED(mu_) {
+    const rips::v1::Hello& hello = in.hello();
     robot_ = std::move(robot);
     host_ = std::move(host);
     address_ = std::move(address);
@@ -50,6 +51,9 @@ class Link final : public pipeline::SensorLink {
     if (hello.has_configuration()) {
       said_.configuration = model_proto::Bounded(hello.configuration()).SerializeAsString();
     }
+    // The sensor's word. What cannot be an id of ours is none.
+    MutexLock lock(&mu_);
+    if (in.interest_in_use().size() == kInterestIdBytes) interest_ = in.interest_in_use();
   }
   // A message has come. Noted of an agent that was admitted: what others say with its key counts
   // for nothing.
@@ -64,6 +68,7 @@ class Link final : public pipeline::SensorLink {
             contacts_->Greeted({robot_, pipeline::AgentKind::kSensor, host_}, std::move(said_));
       }
       admitted_ = true;
+      outbound_->Resume();  // it pauses since its hello
       if (const auto left_out = logs_->Admit(robot_)) {
         LogInfo("sensor connected",
                 {{"robot", robot_}, {"host", host_}, {"peer", address_}, {"left_out", *left_out}});
@@ -129,11 +134,8 @@ class Link final : public pipeline::SensorLink {
     outbound_->Send(std::move(reply));
     return id;
   }
-  // The sensor's word, at the beginning of a stream. What cannot be an id of ours is none.
-  void InterestInUse(const std::string& id) ABSL_LOCKS_EXCLUDED(mu_) {
-    MutexLock lock(&mu_);
-    if (id.size() == kInterestIdBytes) interest_ = id;
-  }
+  // The robot has taken the stream as a session. Any thread.
+  bool admitted() const { return admitted_; }
   void Close(const absl::Status& status) override {
     if (const auto left_out = logs_->Admit(robot_)) {
       LogWarning(admitted_ ? "sensor stream closed" : "sensor refused",
@@ -236,8 +238,7 @@ class SensorStream final : public Stream {
     }
     absl::StatusOr<pipeline::SensorHello> decoded = DecodeHello(hello);
     if (!decoded.ok()) return Refuse(decoded.status());
-    link_->InterestInUse(hello.interest_in_use());
-    link_->SetPeer(mailbox_->robot(), host_, address_, hello.hello());
+    link_->SetPeer(mailbox_->robot(), host_, address_, hello);
     decoded->peer = address_;
     Post(Lane::kControl, hello.ByteSizeLong(),
          [host = host_, link = link_, hello = *std::move(decoded)](Robot& robot) {
@@ -329,8 +330,9 @@ class SensorStream final : public Stream {
     outbound()->Close(rpc::ToGrpc(posted));
   }
 
-  bool OnRead(size_t bytes, int64_t took_ns) override {
-    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, bytes, took_ns);
+  bool OnRead(int64_t took_ns) override {
+    if (!link_->admitted()) return false;
+    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, took_ns);
     if (next == rpc::ReadingPace::Next::kRead) return true;
     metrics_.pauses.Increment();
     if (next == rpc::ReadingPace::Next::kPauseIsNews) {
@@ -338,6 +340,7 @@ class SensorStream final : public Stream {
     }
     return false;
   }
+  bool MayRead() override { return link_->admitted() && watch_->MayRead(*session_); }
 
   void OnUnreadable() override {
     if (session_ == nullptr || refused_) return;

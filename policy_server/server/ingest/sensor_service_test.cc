@@ -8,6 +8,7 @@
 #include <thread>
 #include <utility>
 
+#include "absl/time/clock.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/server/robot/robot_fixture.h"
@@ -215,6 +216,29 @@ TEST_F(SensorServiceTest, ASensorIsAskedForThePayloadsThatRulesNeedUnlessItKnows
   ASSERT_NE(other, nullptr);
   EXPECT_EQ(other->InterestsUntilNow().size(), 1u) << "no interest of ours";
   other->End();
+}
+
+TEST_F(SensorServiceTest, AStreamIsReadOneMessageAtATimeUntilItsRobotAdmitsIt) {
+  BoundedQueue<int> admit{{.capacity = 1}};
+  ASSERT_THAT(pipeline_.Post("r1", pipeline::Lane::kControl,
+                             [&](pipeline::Robot&) { admit.Pop(absl::Seconds(60)); }),
+              IsOk());
+  Sensor sensor(channel_);
+  sensor.Hello();
+  for (int i = 0; i < 200; ++i) {
+    SensorMessage heartbeat;
+    heartbeat.mutable_heartbeat()->mutable_clock()->set_boottime_ns(
+        static_cast<uint64_t>(BoottimeNow()));
+    ASSERT_TRUE(sensor.stream->Write(heartbeat));
+  }
+  absl::SleepFor(absl::Milliseconds(700));
+  const auto waiting = pipeline_.waiting().at("r1");
+  EXPECT_GE(waiting[static_cast<size_t>(pipeline::Queue::kControl)], 1u) << "its hello";
+  EXPECT_LE(waiting[static_cast<size_t>(pipeline::Queue::kControl)], 4u);
+  admit.Push(1);
+  ASSERT_TRUE(sensor.Greeted());
+  EXPECT_EQ(sensor.InterestsUntilNow().size(), 1u) << "all that came before is read";
+  sensor.End();
 }
 
 TEST_F(SensorServiceTest, ASensorIsToldWhatTheStoreHoldsInAnswerAndWithAcknowledgements) {

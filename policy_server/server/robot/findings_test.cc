@@ -406,8 +406,8 @@ TEST_F(RobotFindingsTest, AFindingThatBeginsWhileALoweringIsRecordedTakesItBack)
   Drain();
   EXPECT_EQ(Level(), "ALERT");
   EXPECT_EQ(actuator_->level()->to, "ALERT");
-  EXPECT_EQ(audience_.Count("a lowering was taken back: while it was recorded, a sensor found "
-                            "something else"),
+  EXPECT_EQ(audience_.Count("a lowering was taken back: while it was recorded, sensor base "
+                            "found non_ros_writer"),
             1);
 }
 

@@ -126,12 +126,17 @@ TEST(EvidenceGateTest, ALevelThatIsNotVerifiedStartsTheHoldAnewAndBreaksNothing)
   gate.Update({}, true, At(108));
   EXPECT_THAT(gate.Assess(At(111)).blind_because[0], HasSubstr("the level has changed"));
 
-  EXPECT_EQ(gate.BrokenSince(At(100)), "");
+  EXPECT_EQ(gate.broken_by(), "");
   gate.Update({"sensor base is silent"}, false, At(112));
-  EXPECT_EQ(gate.BrokenSince(At(111)), "sensor base is silent");
+  EXPECT_EQ(gate.broken_by(), "sensor base is silent");
   gate.Disturb("3 observations were lost", At(113));
-  EXPECT_EQ(gate.BrokenSince(At(112)), "3 observations were lost");
-  EXPECT_EQ(gate.BrokenSince(At(113)), "") << "known to who decided then";
+  EXPECT_EQ(gate.broken_by(), "3 observations were lost");
+  gate.Restart(At(113));
+  EXPECT_EQ(gate.broken_by(), "") << "known to who decided then";
+  gate.Contradict("sensor base found impostor");
+  EXPECT_EQ(gate.broken_by(), "sensor base found impostor") << "at the same time, but after it";
+  gate.Update({}, true, At(114));
+  EXPECT_THAT(gate.Assess(At(118)).blind_because, IsEmpty()) << "it was seen";
 }
 
 TEST(AlertLimiterTest, FoldsWhatExceedsTheBurst) {

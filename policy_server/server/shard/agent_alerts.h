@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "services/runtime/log.h"
 
 namespace rips::pipeline {
 
@@ -26,18 +27,22 @@ inline void TellRefusedField(Pipeline& pipeline, absl::string_view agent, const 
       .IgnoreError();  // of a robot that is not served; it is logged and counted
 }
 
-// As above, of an agent whose messages cost too much to be read (rpc::ReadingPace).
+// As above, of an agent whose messages cost too much to be read (rpc::ReadingPace). It is logged,
+// too: too much of that robot may wait for the alert to be raised.
 inline void TellReadSlowly(Pipeline& pipeline, absl::string_view agent, const std::string& robot,
                            absl::string_view host, absl::string_view address) {
+  LogWarning("an agent is read slowly",
+             {{"agent", agent}, {"robot", robot}, {"host", host}, {"peer", address}});
   pipeline
       .Post(robot, Lane::kControl,
             [text = absl::StrCat(agent, " ", robot, "/", host, " at ", address,
                                  " sends what takes more of the server's processor to read than "
                                  "one agent may use: it is read more slowly, so what it says "
-                                 "comes late. An agent of RIPS does so only with far more "
-                                 "traffic than a robot has: find out what uses its key")](
-                Robot& each) { each.Report(engine::Severity::kHigh, text); })
-      .IgnoreError();  // as above; it is counted
+                                 "comes late. Unless the robot has very much traffic, find out "
+                                 "what uses its key")](Robot& each) {
+              each.Report(engine::Severity::kMedium, text);
+            })
+      .IgnoreError();
 }
 
 }  // namespace rips::pipeline

@@ -60,6 +60,7 @@ class Analysis {
     kEver,
     kOnATick,     // there is no event: a question about one is answered with no
     kNoneStands,  // no finding does
+    kEachStands,  // one of each kind does
   };
 
   Analysis(const levels::LevelTable& levels, When when)
@@ -97,6 +98,9 @@ class Analysis {
       }
       if (when_ == When::kNoneStands && expr.builtin == Builtin::kFindingStands) {
         return {.may_be_false = all_};
+      }
+      if (when_ == When::kEachStands && expr.builtin == Builtin::kFindingStands) {
+        return {.may_be_true = all_};
       }
     }
     return TruthOfPart(expr);
@@ -197,7 +201,8 @@ class Lowerings {
         sink_(sink),
         analysis_(rules.levels, Analysis::When::kEver),
         ticking_(rules.levels, Analysis::When::kOnATick),
-        none_stands_(rules.levels, Analysis::When::kNoneStands) {}
+        none_stands_(rules.levels, Analysis::When::kNoneStands),
+        each_stands_(rules.levels, Analysis::When::kEachStands) {}
 
   void Warn(const TypedRule& rule) {
     const auto triggers = [](const TypedChain& chain) {
@@ -212,7 +217,8 @@ class Lowerings {
     const Places begin = {.at = truth.may_be_true,
                           .alone = truth.true_alone,
                           .on_a_tick = ticking_.TruthOf(rule.condition).true_alone,
-                          .none_stands = none_stands_.TruthOf(rule.condition).may_be_true};
+                          .on_findings = each_stands_.TruthOf(rule.condition).may_be_true &
+                                         ~none_stands_.TruthOf(rule.condition).may_be_true};
     Places places = begin;
     for (const TypedChain& chain : rule.chains) {
       Places here = places;
@@ -224,24 +230,23 @@ class Lowerings {
         }
         if (action.kind == ActionKind::kTrigger || action.kind == ActionKind::kExec) {
           here = begin.Or(analysis_.all());
-          here.none_stands = analysis_.all();  // by then
         }
       }
     }
   }
 
  private:
-  // Levels at which a trigger may run; those where nothing else was asked, or nothing but that there
-  // is no event; and those where it may run though no finding stands.
+  // Levels at which a trigger may run; those where nothing else was asked, or nothing but that
+  // there is no event; and those where it runs because findings stand.
   struct Places {
     LevelSet at = 0;
     LevelSet alone = 0;
     LevelSet on_a_tick = 0;
-    LevelSet none_stands = 0;
+    LevelSet on_findings = 0;
 
+    // Elsewhere, or later.
     Places Or(LevelSet more) const {
-      const auto and_more = [more](LevelSet levels) { return levels == 0 ? 0 : levels | more; };
-      return {at | more, and_more(alone), and_more(on_a_tick), and_more(none_stands)};
+      return {at | more, alone == 0 ? 0 : alone | more, on_a_tick == 0 ? 0 : on_a_tick | more, 0};
     }
   };
 
@@ -265,8 +270,8 @@ class Lowerings {
         if (lowers && ((here.alone | here.on_a_tick) & Bit(from)) != 0) {
           return WarnUnguarded(trigger.range, from, (here.alone & Bit(from)) != 0);
         }
-        if (lowers && (here.none_stands & Bit(from)) == 0) {
-          return WarnWhileOneStands(trigger.range, from);
+        if (lowers && (here.on_findings & Bit(from)) != 0) {
+          return WarnOnFindings(trigger.range, from, (here.at & (Bit(to) - 1)) != 0 ? to : -1);
         }
         acts = acts || lowers || to > from;
         if (to < from && !lowers && !refused) refused = {from, to};
@@ -287,12 +292,15 @@ class Lowerings {
                                  : " && !findingstands(\"any\")`"));
   }
 
-  void WarnWhileOneStands(SourceRange range, int from) {
+  // `raises_to`: at other levels it raises to that one; negative = it does not.
+  void WarnOnFindings(SourceRange range, int from, int raises_to) {
     const std::string level = rules_.levels.name(from);
     sink_.Add(DiagnosticKind::kUnguardedLowering, range,
-              absl::StrCat("this leaves level ", Quote(level), " only while a finding stands"),
-              absl::StrCat("ask that none does, as in `CurrLevel == ", level,
-                           " && !findingstands(\"any\")`"));
+              absl::StrCat("this leaves level ", Quote(level), " because a finding stands"),
+              raises_to < 0 ? absl::StrCat("ask that none does, as in `CurrLevel == ", level,
+                                           " && !findingstands(\"any\")`")
+                            : absl::StrCat("if it is to raise the level, ask `CurrLevel < ",
+                                           rules_.levels.name(raises_to), "`, too"));
   }
 
   void WarnNever(SourceRange range, int from, int to) {
@@ -318,6 +326,7 @@ class Lowerings {
   const Analysis analysis_;
   const Analysis ticking_;
   const Analysis none_stands_;
+  const Analysis each_stands_;
 };
 
 }  // namespace

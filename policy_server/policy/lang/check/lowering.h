@@ -16,7 +16,7 @@ namespace rips::lang {
 //   kind                the trigger
 //   UnguardedLowering   may leave a soft level for the one below, and its rule fires at that level
 //                       although nothing but the level and the time is asked, or besides only
-//                       that there is no event, as at each tick; or only while a finding stands
+//                       that there is no event, as at each tick; or because a finding stands
 //   NeverLowers         changes nothing at any level at which its rule may fire, and asks for a
 //                       lower level at one of them at least
 //

@@ -21,22 +21,14 @@ void EvidenceGate::Update(std::vector<std::string> problems, bool level_verified
 }
 
 void EvidenceGate::Disturb(const std::string& why, Instant now) {
-  clear_since_ns_ = broken_ns_ = now.boottime_ns;
+  clear_since_ns_ = now.boottime_ns;
   disturbed_by_ = broken_by_ = why;
-}
-
-void EvidenceGate::Contradict(const std::string& why, Instant now) {
-  broken_ns_ = now.boottime_ns;
-  broken_by_ = why;
 }
 
 void EvidenceGate::Restart(Instant now) {
   clear_since_ns_ = now.boottime_ns;
   disturbed_by_ = "the level has changed";
-}
-
-std::string EvidenceGate::BrokenSince(Instant since) const {
-  return broken_ns_ > since.boottime_ns ? broken_by_ : "";
+  broken_by_.clear();
 }
 
 levels::Evidence EvidenceGate::Assess(Instant now) const {

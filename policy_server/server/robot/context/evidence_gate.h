@@ -25,14 +25,14 @@ class EvidenceGate {
   void Disturb(const std::string& why, Instant now);
   // Something bad was seen: what was decided before and is still being recorded did not know of it.
   // The hold goes on, since it was seen.
-  void Contradict(const std::string& why, Instant now);
+  void Contradict(const std::string& why) { broken_by_ = why; }
   // The level has changed: nothing is wrong, and what was seen before says nothing about it.
   void Restart(Instant now);
 
   // Empty blind_because = complete for the whole hold.
   levels::Evidence Assess(Instant now) const;
-  // What has been wrong since, with what was seen, or what was seen besides; empty = nothing.
-  std::string BrokenSince(Instant since) const;
+  // What has been wrong since Restart, or was seen since then; the newest of it. Empty = nothing.
+  const std::string& broken_by() const { return broken_by_; }
   // Nothing is wrong now, whatever the hold.
   bool complete_now() const { return problems_.empty(); }
   void set_hold_ns(int64_t hold_ns) { hold_ns_ = hold_ns; }
@@ -43,7 +43,6 @@ class EvidenceGate {
   int64_t clear_since_ns_;
   // Why the hold was last started anew.
   std::string disturbed_by_ = "the server started";
-  int64_t broken_ns_ = 0;
   std::string broken_by_;
 };
 

@@ -457,14 +457,22 @@ RulesState RobotCore::rules() const {
 }
 
 std::optional<std::string> RobotCore::WhyRulesCannotLower() const {
-  if (state_.level.level() == 0) return std::nullopt;
-  if (state_.halted())
-    return "a rule has called `crash`; `ripsctl rules resume` lets rules run again";
+  const levels::LevelIndex level = state_.level.level();
+  if (level == 0) return std::nullopt;
+  // All that is in the way: an operator must not learn of one only after waiting for another.
+  std::vector<std::string> reasons;
+  if (state_.halted()) {
+    reasons.push_back("a rule has called `crash`, and no rule runs before `ripsctl rules resume`");
+  }
   levels::LevelMachine tried = state_.level;
-  return tried
-      .Request(tried.level() - 1, {}, context_.now(), gate_.Assess(context_.now()),
-               levels::Lateness::kTimely)
-      .detail;
+  const levels::Transition asked =
+      tried.Request(level - 1, {}, context_.now(), {}, levels::Lateness::kTimely);
+  if (asked.refused()) reasons.push_back(asked.detail);
+  if (levels().at(level).soft) {
+    const levels::Evidence evidence = gate_.Assess(context_.now());
+    reasons.insert(reasons.end(), evidence.blind_because.begin(), evidence.blind_because.end());
+  }
+  return absl::StrJoin(reasons, "; ");
 }
 
 RobotStatus RobotCore::Status() const {

@@ -114,8 +114,8 @@ class RobotCore {
   const Policy& policy() const { return context_.policy; }
   const Watch& watch() const { return context_.watch; }
   const levels::LevelTable& levels() const { return state_.level.table(); }
-  // Why a rule that asks for the next less restrictive level would be refused; empty = it would not,
-  // unset at the lowest level.
+  // What is in the way of a rule that asks for the next less restrictive level, besides its own
+  // condition; empty = nothing, unset at the lowest level.
   std::optional<std::string> WhyRulesCannotLower() const;
   // In force.
   const ros2::RosGraph& graph() const { return state_.graph.get(); }

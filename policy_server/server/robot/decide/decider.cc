@@ -244,10 +244,11 @@ void Decider::OnDurable(const levels::Transition& lowering) {
   // A raise may have been decided meanwhile: then that one has been commanded already.
   if (lowering.decision_id != state_.level.decision_id()) return;
   if (lowering.cause.kind == levels::Cause::Kind::kRule && lowering.lowers()) {
-    // What a rule saw must hold until its lowering leaves.
-    if (const std::string broken = evidence_.BrokenSince(lowering.at); !broken.empty()) {
+    // What a rule saw must hold until its lowering leaves. It is the newest decision, which began
+    // evidence anew.
+    if (!evidence_.broken_by().empty()) {
       return TakeBack(lowering, engine::Severity::kMedium,
-                      absl::StrCat("while it was recorded, ", broken));
+                      absl::StrCat("while it was recorded, ", evidence_.broken_by()));
     }
   }
   actuators_.Order(lowering, CauseText(lowering.cause));

@@ -68,7 +68,9 @@ void FindingRegistry::OnHello(const std::string& host, const std::string& incarn
                               int64_t now_ns) {
   Host& current = hosts_[host];
   current.said.reset();
-  if (std::exchange(current.incarnation, incarnation) != incarnation) MayEnd(host, now_ns);
+  if (std::exchange(current.incarnation, incarnation) == incarnation) return;
+  current.differs_ns = 0;
+  MayEnd(host, now_ns);
 }
 
 void FindingRegistry::MayEnd(const std::string& host, int64_t now_ns) {
@@ -99,16 +101,15 @@ FindingRegistry::Asked FindingRegistry::Ask(const std::string& host, int64_t now
   const auto it = hosts_.find(host);
   if (it == hosts_.end()) return Asked::kNo;
   Host& current = it->second;
+  if (!current.said) return Asked::kNo;
   if (!current.differs()) {
     current.differs_ns = 0;
     current.in_vain = false;
     return Asked::kNo;
   }
-  if (current.differs_ns == 0) current.differs_ns = now_ns;
-  // More than are kept would be told in vain.
-  if (entries_.size() >= limits_.standing || now_ns < current.differs_ns + kDiffersNs) {
-    return Asked::kNo;
-  }
+  // More than are kept would be told in vain, and it is not the sensor's fault.
+  if (current.differs_ns == 0 || entries_.size() >= limits_.standing) current.differs_ns = now_ns;
+  if (now_ns < current.differs_ns + kDiffersNs) return Asked::kNo;
   if (current.asked_ns != 0 && now_ns < current.asked_ns + limits_.confirm_ns) return Asked::kNo;
   const bool in_vain = current.asked_ns >= current.differs_ns;
   current.asked_ns = now_ns;

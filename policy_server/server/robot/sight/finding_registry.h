@@ -90,7 +90,7 @@ class FindingRegistry {
   enum class Asked {
     kNo,
     kYes,        // it has confirm_ns for it
-    kYesInVain,  // it was asked, had its time, and still differs: once until it agrees
+    kYesInVain,  // this process of it was asked, had its time and differs; once until it agrees
   };
   // Whether to ask the sensor now to tell again what stands.
   Asked Ask(const std::string& host, int64_t now_ns);

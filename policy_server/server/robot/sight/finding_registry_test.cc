@@ -141,6 +141,10 @@ TEST(FindingRegistryTest, ThatASensorWasAskedInVainIsToldOnce) {
     registry.OnState("base", 1, true);
     EXPECT_EQ(registry.Ask("base", at(from)), Asked::kNo);
     EXPECT_EQ(registry.Ask("base", at(from + 5)), Asked::kYes);
+    // A new session makes it no other process.
+    registry.OnHello("base", "i1", at(from + 30));
+    EXPECT_EQ(registry.Ask("base", at(from + 30)), Asked::kNo);
+    registry.OnState("base", 1, true);
     EXPECT_EQ(registry.Ask("base", at(from + 65)), Asked::kYesInVain);
     EXPECT_EQ(registry.Ask("base", at(from + 125)), Asked::kYes);
   };
@@ -148,6 +152,39 @@ TEST(FindingRegistryTest, ThatASensorWasAskedInVainIsToldOnce) {
   registry.OnState("base", 0, true);
   EXPECT_EQ(registry.Ask("base", at(200)), Asked::kNo);
   disagree(201);
+}
+
+TEST(FindingRegistryTest, ASensorThatBeginsAnewWasNotAskedInVain) {
+  FindingRegistry registry;
+  const auto at = [](int64_t seconds) { return seconds * kNanosPerSecond; };
+  registry.OnHello("base", "i1", 0);
+  registry.OnState("base", 1, true);
+  EXPECT_EQ(registry.Ask("base", at(1)), Asked::kNo);
+  EXPECT_EQ(registry.Ask("base", at(6)), Asked::kYes);
+  registry.OnHello("base", "i2", at(20));
+  registry.OnState("base", 1, true);
+  EXPECT_EQ(registry.Ask("base", at(70)), Asked::kNo) << "its next state may be on its way";
+  EXPECT_EQ(registry.Ask("base", at(75)), Asked::kYes);
+}
+
+TEST(FindingRegistryTest, ASensorIsNotAskedInVainBecauseAnotherOneFillsTheTable) {
+  FindingRegistry registry({.standing = 2});
+  const auto at = [](int64_t seconds) { return seconds * kNanosPerSecond; };
+  for (const char* host : {"base", "laptop"}) registry.OnHello(host, "i1", 0);
+  registry.Apply("base", "i1", Impostor(1), 0);
+  registry.Apply("base", "i1", Impostor(2), 0);
+  EXPECT_EQ(registry.Apply("laptop", "i1", Impostor(3), 0), News::kTooMany);
+  registry.OnState("laptop", DigestOf({Impostor(3)}), true);
+  for (int64_t from = 10; from < 500; from += 100) {
+    EXPECT_EQ(registry.Ask("laptop", at(from)), Asked::kNo);
+    registry.Apply("base", "i1", Over(Impostor(1)), at(from + 1));
+    EXPECT_EQ(registry.Ask("laptop", at(from + 2)), Asked::kNo);
+    EXPECT_EQ(registry.Ask("laptop", at(from + 6)), Asked::kYes);
+    // What it tells comes too late.
+    registry.Apply("base", "i1", Impostor(1), at(from + 7));
+    EXPECT_EQ(registry.Apply("laptop", "i1", Impostor(3), at(from + 8)), News::kTooMany);
+    EXPECT_EQ(registry.Ask("laptop", at(from + 70)), Asked::kNo);
+  }
 }
 
 TEST(FindingRegistryTest, AnOldEndDoesNotPassForANewOne) {

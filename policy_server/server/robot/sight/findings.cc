@@ -61,7 +61,8 @@ bool Findings::OnFinding(const std::string& host, const std::string& incarnation
     case FindingRegistry::News::kTooMany:
       SetOther(finding.kind);
       Recount();
-      gate_.Contradict("a sensor found something else", context_.now());
+      gate_.Contradict(absl::StrCat("sensor ", host, " found ",
+                                    IsKindOfRules(finding.kind) ? finding.kind : "something"));
       break;
   }
   // A sensor may make kinds up, and each kind has its own limit.
