@@ -19,9 +19,10 @@ ReadingCost::ReadingCost(size_t bytes)
       began_ns_(Now(bytes < kShortBytes ? CLOCK_MONOTONIC : CLOCK_THREAD_CPUTIME_ID)) {}
 
 int64_t ReadingCost::Take() const {
-  if (bytes_ >= kShortBytes) return Now(CLOCK_THREAD_CPUTIME_ID) - began_ns_;
+  const int64_t transport_ns = kTransportNs + static_cast<int64_t>(bytes_ / kTransportBytesPerNs);
+  if (bytes_ >= kShortBytes) return transport_ns + Now(CLOCK_THREAD_CPUTIME_ID) - began_ns_;
   const int64_t most_ns = kMessageNs + static_cast<int64_t>(bytes_) * kByteNs;
-  return std::min(Now(CLOCK_MONOTONIC) - began_ns_, most_ns);
+  return transport_ns + std::min(Now(CLOCK_MONOTONIC) - began_ns_, most_ns);
 }
 
 ReadingPace::Next ReadingPace::OnRead(int64_t took_ns, int64_t now_ns) {

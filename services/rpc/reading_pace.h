@@ -34,9 +34,9 @@ struct ReadingLimits {
   int64_t again_ns = 600 * kNanosPerSecond;
 };
 
-// Measures how long a message takes to be read: by the CPU clock of its thread, or, if it is short
-// and that system call would be a large part of it, by what time passes, but no more than its bytes
-// can cost. One thread.
+// What a message takes to be read: measured by the CPU clock of its thread, or, if it is short and
+// that system call would be a large part of it, by what time passes, but no more than its bytes can
+// cost. What gRPC, TLS and the kernel took before is estimated. One thread.
 class ReadingCost {
  public:
   explicit ReadingCost(size_t bytes);
@@ -47,6 +47,9 @@ class ReadingCost {
   static constexpr size_t kShortBytes = 16 << 10;
   static constexpr int64_t kByteNs = 100;
   static constexpr int64_t kMessageNs = 20'000;
+  // Before it is here.
+  static constexpr int64_t kTransportNs = 5'000;
+  static constexpr size_t kTransportBytesPerNs = 4;
 
   const size_t bytes_;
   const int64_t began_ns_;

@@ -69,7 +69,7 @@ Transition LevelMachine::Request(LevelIndex to, const Cause& cause, Instant now,
     return Refused(std::move(proposed), Refusal::kBudget,
                    absl::StrCat("rules lowered the level ", budget_.lowerings_max, " times within ",
                                 budget_.window_ns / (60 * kNanosPerSecond),
-                                " minutes, and may do so again after `ripsctl rules resume`"));
+                                " minutes; an operator may resume them"));
   }
   return Decide(std::move(proposed));
 }

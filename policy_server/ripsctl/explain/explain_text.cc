@@ -311,7 +311,7 @@ void PrintLowering(absl::string_view robot, const Lowering& lowering,
   }
   out << "  if it were lowered to " << EscapeText(lowering.to) << " now, it\n";
   const v1::LevelResponse& found = *lowering.found;
-  if (found.would_raise_again().empty()) {
+  if (found.would_raise_again().empty() && found.blind_because().empty()) {
     out << "    would not be raised again at once: no rule on the graph or a tick would fire\n";
   }
   // Of most interest is what raised the robot.

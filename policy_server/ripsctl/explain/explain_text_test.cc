@@ -399,15 +399,15 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
                         "certificate\n"));
   EXPECT_THAT(with(absl::FailedPreconditionError("the store is full")),
               HasSubstr("  what would raise it again is not known: the store is full\n"));
+  EXPECT_THAT(with(v1::LevelResponse()),
+              HasSubstr("now, it\n    would not be raised again at once: no rule on the graph or a "
+                        "tick would fire\n"));
   v1::LevelResponse blind;
   blind.add_blind_because("sensor base lost");
-  EXPECT_THAT(with(blind),
-              HasSubstr("  if it were lowered to ALERT now, it\n"
-                        "    would not be raised again at once: no rule on the graph or a tick "
-                        "would fire\n"
-                        "    blind: sensor base lost\n"
-                        "    would be refused, because RIPS does not see all of r1 "
-                        "now; --accept-blind lowers it all the same\n"));
+  EXPECT_THAT(with(blind), HasSubstr("  if it were lowered to ALERT now, it\n"
+                                     "    blind: sensor base lost\n"
+                                     "    would be refused, because RIPS does not see all of r1 "
+                                     "now; --accept-blind lowers it all the same\n"));
   EXPECT_THAT(Print({.now = At("DEFAULT")}),
               StartsWith("nothing was ever decided for r1: it is where it began\n"));
 }

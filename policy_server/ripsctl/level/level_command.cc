@@ -16,6 +16,7 @@
 #include "policy_server/ripsctl/cli/printer.h"
 #include "policy_server/ripsctl/cli/robot_level.h"
 #include "policy_server/ripsctl/commands.h"
+#include "policy_server/ripsctl/explain/findings_view.h"
 #include "policy_server/ripsctl/level/await_level.h"
 #include "services/base/decision_id.h"
 #include "services/base/ids.h"
@@ -296,10 +297,20 @@ class LowerLevel final : public ChangeLevel {
       *request_.mutable_expected_decision_id() = seen.status().decision_id();
     }
     RIPS_ASSIGN_OR_RETURN(const auto response, Call(env, &Stub::DeEscalate, request_));
-    return Report(env, response);
+    const ExitCode code = Report(env, response);
+    if (request_.dry_run() && !env.json()) ShowFindings(env);
+    return code;
   }
 
  private:
+  // No rule need ask for them; who lowers should know.
+  void ShowFindings(Env& env) const {
+    v1::GetCoverageRequest request;
+    request.set_robot(robot_);
+    request.set_findings_only(true);
+    PrintFindingsNow(robot_, Call(env, &Stub::GetCoverage, request), env.out);
+  }
+
   // On the error stream when the output is for programs.
   void Show(Env& env, const v1::GetLevelResponse& seen) {
     std::ostream& out = env.json() ? env.err : env.out;

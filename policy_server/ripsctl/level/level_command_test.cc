@@ -181,5 +181,15 @@ TEST(FirewallsTest, OfManySourcesShowsFirstWhatNoAgentExplains) {
   EXPECT_EQ(lines[10], "7 other addresses in the last 10 min");
 }
 
+TEST_F(RipsctlTest, ADryRunOfALoweringSaysWhichFindingsStand) {
+  const std::vector<std::string> dry_run = {"level", "lower", "r1", "--to", "ALERT", "--dry-run"};
+  EXPECT_THAT(Run(dry_run).out, testing::HasSubstr("\nFindings: none stands\n"));
+  fake_.coverage = MakeFindings(1);
+  EXPECT_THAT(Run(dry_run).out, testing::HasSubstr("\nFindings: 1 stand now: 1 non_ros_reader\n"));
+  EXPECT_EQ(Run(dry_run).code, 0) << "no rule need ask for them";
+  EXPECT_THAT(Run({"level", "lower", "r1", "--to", "ALERT", "--reason", "x"}).out,
+              testing::Not(testing::HasSubstr("Findings")));
+}
+
 }  // namespace
 }  // namespace rips::ripsctl

@@ -287,13 +287,17 @@ class ShowCoverage final : public RobotCommand {
     for (const std::string& reason : not_known) {
       out << "not all findings are known: " << EscapeText(reason) << "\n";
     }
-    if (response.findings().empty()) return;
-    out << "\n";
-    Table findings({"FINDING", "NODE", "TOPIC", "DETAIL"});
-    for (const v1::Finding& finding : response.findings()) {
-      findings.Add({finding.kind(), finding.node(), finding.topic(), finding.detail()});
+    if (!response.findings().empty()) {
+      out << "\n";
+      Table findings({"FINDING", "NODE", "TOPIC", "DETAIL"});
+      for (const v1::Finding& finding : response.findings()) {
+        findings.Add({finding.kind(), finding.node(), finding.topic(), finding.detail()});
+      }
+      findings.Print(out);
     }
-    findings.Print(out);
+    out << (Complete(response)
+                ? "\nall is seen, and no finding stands\n"
+                : "\nNOT all is seen, or a finding stands or may stand: see above\n");
   }
   void PrintEndpoints(const v1::GetCoverageResponse& response, std::ostream& out) const {
     const Counts counts = Count(response);

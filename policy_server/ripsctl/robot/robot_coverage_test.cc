@@ -178,7 +178,9 @@ TEST_F(RobotCoverageTest, AllThatIsToBeSeenIsSeen) {
             "watched      1\n"
             "not needed   1\n"
             "not visible  0\n"
-            "never read   2\n");
+            "never read   2\n"
+            "\n"
+            "all is seen, and no finding stands\n");
   const nlohmann::json json = RunJson({"robot", "coverage", "r1"});
   EXPECT_EQ(json["complete"], true);
   EXPECT_EQ(json["sensors"][0]["clock_skew_ns"], nullptr);
@@ -278,6 +280,8 @@ TEST_F(RobotCoverageTest, SaysWhyNotAllFindingsAreKnown) {
   fake_.coverage.mutable_findings_now()->add_not_known("sensor base has \x1b connected");
   const Result text = Run({"robot", "coverage", "r1"});
   EXPECT_EQ(text.code, 1) << "one may stand";
+  EXPECT_THAT(text.out,
+              HasSubstr("\nNOT all is seen, or a finding stands or may stand: see above\n"));
   EXPECT_THAT(text.out,
               HasSubstr("\nnot all findings are known: sensor base has \\x1b connected\n"));
   EXPECT_THAT(RunJson({"robot", "coverage", "r1"}, 1)["findings_not_known_because"], SizeIs(1));

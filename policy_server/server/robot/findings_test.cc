@@ -437,6 +437,24 @@ TEST_F(RobotFindingsTest, RulesSeeAFindingOfASensorThatIsSilentAndNoEndOfOne) {
   EXPECT_EQ(seen.Stands("impostor"), std::nullopt);
 }
 
+TEST_F(RobotFindingsTest, WhileASecondProcessUsesASensorsKeyNothingIsKnown) {
+  Start(kSoftRules);
+  Arm();
+  SayFindings();
+  const Findings& findings = robot_->core().findings();
+  ASSERT_THAT(findings.known().NotKnown(), IsEmpty());
+  robot_->OnSensorHello(
+      "base", std::make_shared<FakeSensor>(),
+      {.incarnation = "fedcba9876543210", .clock = clock_.Now(), .peer = "ipv4:10.0.0.66:4711"});
+  Pass(2'000);
+  EXPECT_THAT(findings.known().NotKnown(),
+              ElementsAre("a second process uses the key of sensor base"));
+  EXPECT_EQ(findings.seen_by_rules().Stands("any"), std::nullopt);
+  Pass(91'000);
+  EXPECT_THAT(findings.known().NotKnown(), IsEmpty());
+  EXPECT_EQ(findings.seen_by_rules().Stands("any"), false);
+}
+
 TEST_F(RobotFindingsTest, WhatAnOlderIncarnationSaysOfItsFindingsCountsForNothing) {
   Start(kSoftRules);
   Arm();

@@ -149,8 +149,8 @@ TEST_F(SoftBudgetTest, WhyRulesCannotLowerIsSaidBeforeTheyTry) {
   ASSERT_EQ(Level(), "ALERT");
   Obey();
   constexpr char kLowered[] =
-      "rules lowered the level 3 times within 10 minutes, and may do so again after `ripsctl rules "
-      "resume`";
+      "rules lowered the level 3 times within 10 minutes; an operator may resume them (`ripsctl "
+      "rules resume r1 --reason TEXT`)";
   EXPECT_THAT(
       why(),
       Optional(StartsWith(absl::StrCat(kLowered, "; evidence has been complete for only 0."))));
@@ -161,7 +161,7 @@ TEST_F(SoftBudgetTest, WhyRulesCannotLowerIsSaidBeforeTheyTry) {
   EXPECT_TRUE(robot_->ResumeRules("alice", "maintenance").ok());
   EXPECT_THAT(why(), Optional(IsEmpty()));
   robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"}, [](const auto&) {});
-  EXPECT_THAT(why(), Optional(StrEq("`HALT` is not soft")));
+  EXPECT_THAT(why(), Optional(StrEq("`HALT` is not soft, so only a person may lower it")));
 }
 
 TEST_F(SoftBudgetTest, WhatAnOperatorGaveBackARestartDoesNotTake) {

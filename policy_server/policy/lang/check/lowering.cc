@@ -59,8 +59,8 @@ class Analysis {
   enum class When {
     kEver,
     kOnATick,     // there is no event: a question about one is answered with no
-    kNoneStands,  // no finding does
-    kEachStands,  // one of each kind does
+    kEachStands,  // a finding of each kind does
+    kForNone,     // the same, and no part is true because of that: `!findingstands` is not, either
   };
 
   Analysis(const levels::LevelTable& levels, When when)
@@ -70,23 +70,24 @@ class Analysis {
 
   LevelSet all() const { return all_; }
 
-  Truth TruthOf(const TypedExpr& expr) const {
+  // `negated`: behind an odd number of `!`.
+  Truth TruthOf(const TypedExpr& expr, bool negated = false) const {
     if (expr.kind == TypedExpr::Kind::kUnary && expr.unary == UnaryOp::kNot) {
-      const Truth of = TruthOf(expr.args[0]);
-      return {.may_be_true = of.may_be_false,
-              .may_be_false = of.may_be_true,
-              .true_alone = of.false_alone,
-              .false_alone = of.true_alone};
+      return Not(TruthOf(expr.args[0], !negated));
+    }
+    if (const std::optional<Compared> compared = WithConstant(expr)) {
+      if (compared->same) return TruthOf(*compared->with, negated);
+      return Not(TruthOf(*compared->with, !negated));
     }
     if (expr.kind == TypedExpr::Kind::kBinary && expr.binary == BinaryOp::kAnd) {
-      const Truth left = TruthOf(expr.args[0]), right = TruthOf(expr.args[1]);
+      const Truth left = TruthOf(expr.args[0], negated), right = TruthOf(expr.args[1], negated);
       return {.may_be_true = left.may_be_true & right.may_be_true,
               .may_be_false = left.may_be_false | right.may_be_false,
               .true_alone = left.true_alone & right.true_alone,
               .false_alone = left.false_alone | right.false_alone};
     }
     if (expr.kind == TypedExpr::Kind::kBinary && expr.binary == BinaryOp::kOr) {
-      const Truth left = TruthOf(expr.args[0]), right = TruthOf(expr.args[1]);
+      const Truth left = TruthOf(expr.args[0], negated), right = TruthOf(expr.args[1], negated);
       return {.may_be_true = left.may_be_true | right.may_be_true,
               .may_be_false = left.may_be_false & right.may_be_false,
               .true_alone = left.true_alone | right.true_alone,
@@ -96,17 +97,40 @@ class Analysis {
       if (when_ == When::kOnATick && IsAboutAnEvent(expr.builtin)) {
         return {.may_be_true = all_, .may_be_false = all_, .false_alone = all_};
       }
-      if (when_ == When::kNoneStands && expr.builtin == Builtin::kFindingStands) {
-        return {.may_be_false = all_};
-      }
-      if (when_ == When::kEachStands && expr.builtin == Builtin::kFindingStands) {
-        return {.may_be_true = all_};
+      if (when_ >= When::kEachStands && expr.builtin == Builtin::kFindingStands) {
+        const bool stands = when_ == When::kEachStands || negated;
+        return stands ? Truth{.may_be_true = all_} : Truth{.may_be_false = all_};
       }
     }
     return TruthOfPart(expr);
   }
 
  private:
+  struct Compared {
+    const TypedExpr* with = nullptr;
+    bool same = false;
+  };
+
+  static Truth Not(const Truth& of) {
+    return {.may_be_true = of.may_be_false,
+            .may_be_false = of.may_be_true,
+            .true_alone = of.false_alone,
+            .false_alone = of.true_alone};
+  }
+
+  // `x == true` and its like.
+  static std::optional<Compared> WithConstant(const TypedExpr& expr) {
+    if (expr.kind != TypedExpr::Kind::kBinary) return std::nullopt;
+    if (expr.binary != BinaryOp::kEq && expr.binary != BinaryOp::kNe) return std::nullopt;
+    for (const size_t i : {0, 1}) {
+      const TypedExpr& constant = expr.args[i];
+      if (!constant.is_constant() || constant.type != ValueType::kBool) continue;
+      const bool value = std::get<bool>(constant.constant);
+      return Compared{&expr.args[1 - i], value == (expr.binary == BinaryOp::kEq)};
+    }
+    return std::nullopt;
+  }
+
   // Of what is not joined by `!`, `&&` and `||`.
   Truth TruthOfPart(const TypedExpr& expr) const {
     Truth out;
@@ -201,8 +225,8 @@ class Lowerings {
         sink_(sink),
         analysis_(rules.levels, Analysis::When::kEver),
         ticking_(rules.levels, Analysis::When::kOnATick),
-        none_stands_(rules.levels, Analysis::When::kNoneStands),
-        each_stands_(rules.levels, Analysis::When::kEachStands) {}
+        each_stands_(rules.levels, Analysis::When::kEachStands),
+        for_none_(rules.levels, Analysis::When::kForNone) {}
 
   void Warn(const TypedRule& rule) {
     const auto triggers = [](const TypedChain& chain) {
@@ -218,7 +242,7 @@ class Lowerings {
                           .alone = truth.true_alone,
                           .on_a_tick = ticking_.TruthOf(rule.condition).true_alone,
                           .on_findings = each_stands_.TruthOf(rule.condition).may_be_true &
-                                         ~none_stands_.TruthOf(rule.condition).may_be_true};
+                                         ~for_none_.TruthOf(rule.condition).may_be_true};
     Places places = begin;
     for (const TypedChain& chain : rule.chains) {
       Places here = places;
@@ -294,11 +318,10 @@ class Lowerings {
 
   // `raises_to`: at other levels it raises to that one; negative = it does not.
   void WarnOnFindings(SourceRange range, int from, int raises_to) {
-    const std::string level = rules_.levels.name(from);
     sink_.Add(DiagnosticKind::kUnguardedLowering, range,
-              absl::StrCat("this leaves level ", Quote(level), " because a finding stands"),
-              raises_to < 0 ? absl::StrCat("ask that none does, as in `CurrLevel == ", level,
-                                           " && !findingstands(\"any\")`")
+              absl::StrCat("this leaves level ", Quote(rules_.levels.name(from)),
+                           " because a finding stands"),
+              raises_to < 0 ? "ask instead, with `!findingstands(...)`, that what raised it is over"
                             : absl::StrCat("if it is to raise the level, ask `CurrLevel < ",
                                            rules_.levels.name(raises_to), "`, too"));
   }
@@ -325,8 +348,8 @@ class Lowerings {
   DiagnosticSink& sink_;
   const Analysis analysis_;
   const Analysis ticking_;
-  const Analysis none_stands_;
   const Analysis each_stands_;
+  const Analysis for_none_;
 };
 
 }  // namespace

@@ -461,13 +461,20 @@ std::optional<std::string> RobotCore::WhyRulesCannotLower() const {
   if (level == 0) return std::nullopt;
   // All that is in the way: an operator must not learn of one only after waiting for another.
   std::vector<std::string> reasons;
+  const std::string resume =
+      absl::StrCat(" (`ripsctl rules resume ", context_.config.id, " --reason TEXT`)");
   if (state_.halted()) {
-    reasons.push_back("a rule has called `crash`, and no rule runs before `ripsctl rules resume`");
+    reasons.push_back(absl::StrCat(
+        "a rule has called `crash`: no rule runs until an operator resumes them", resume));
   }
   levels::LevelMachine tried = state_.level;
   const levels::Transition asked =
       tried.Request(level - 1, {}, context_.now(), {}, levels::Lateness::kTimely);
-  if (asked.refused()) reasons.push_back(asked.detail);
+  if (asked.refusal == levels::Refusal::kNeedsOperator) {
+    reasons.push_back(absl::StrCat(asked.detail, ", so only a person may lower it"));
+  } else if (asked.refused()) {
+    reasons.push_back(absl::StrCat(asked.detail, resume));
+  }
   if (levels().at(level).soft) {
     const levels::Evidence evidence = gate_.Assess(context_.now());
     reasons.insert(reasons.end(), evidence.blind_because.begin(), evidence.blind_because.end());

@@ -379,6 +379,10 @@ SensorHost* SensorSide::Listed(const std::string& host) {
   return it == hosts_.end() ? nullptr : &it->second;
 }
 
+bool SensorSide::Contested(const SensorHost& host) const {
+  return own_agents_.Contested(Named(host));
+}
+
 void SensorSide::AddProblems(std::vector<std::string>& problems) const {
   for (const auto& [name, host] : hosts_) {
     if (!host.session) {
@@ -388,7 +392,7 @@ void SensorSide::AddProblems(std::vector<std::string>& problems) const {
     if (context_.now_ns() - host.session->heard_ns > context_.timing.stale_ns) {
       problems.push_back(absl::StrCat("sensor ", name, " is silent"));
     }
-    if (own_agents_.Contested(Named(host))) {
+    if (Contested(host)) {
       problems.push_back(absl::StrCat("a second process uses the key of sensor ", name));
     }
     if (std::string problem = InterestProblem(host); !problem.empty()) {
