@@ -237,8 +237,7 @@ firewall: {{socket: {self.dir}/fw.sock, user: root}}
                                  "--reason", "matrix", *(["--accept-blind"] if down else []))
 
     def order(self, level):
-        done = subprocess.run(self.order_args(level), stdin=subprocess.DEVNULL, timeout=LIMIT,
-                              capture_output=True, text=True, env=self.env)
+        done = self.run_ripsctl(self.order_args(level), LIMIT)
         check(done.returncode == 0, f"{level} was not ordered: {done.stderr.strip()}")
 
     def robot_mode(self):
