@@ -331,14 +331,9 @@ class SensorStream final : public Stream {
   }
 
   bool OnRead(int64_t took_ns) override {
-    if (!link_->admitted()) return false;
-    const rpc::ReadingPace::Next next = watch_->OnRead(*session_, took_ns);
-    if (next == rpc::ReadingPace::Next::kRead) return true;
-    metrics_.pauses.Increment();
-    if (next == rpc::ReadingPace::Next::kPauseIsNews) {
-      pipeline::TellReadSlowly(*pipeline_, "sensor", mailbox_->robot(), host_, address_);
-    }
-    return false;
+    return link_->admitted() &&
+           pipeline::ReadsOn(watch_->OnRead(*session_, took_ns), metrics_.pauses, *pipeline_,
+                             "sensor", mailbox_->robot(), host_, address_);
   }
   bool MayRead() override { return link_->admitted() && watch_->MayRead(*session_); }
 

@@ -6,6 +6,7 @@
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "policy_server/server/robot/sight/finding_samples.h"
 #include "policy_server/server/robot/told_findings.h"
 #include "services/model/finding_digest.h"
 
@@ -18,16 +19,6 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Pair;
 using ::testing::SizeIs;
-
-FindingSeen Impostor(uint8_t number, const std::string& node = "/rips") {
-  FindingSeen seen{.kind = "impostor", .node = node, .detail = "why"};
-  seen.guid.bytes[11] = number;
-  return seen;
-}
-FindingSeen Over(FindingSeen seen) {
-  seen.over = true;
-  return seen;
-}
 
 constexpr char kRules[] = R"(
 levels:

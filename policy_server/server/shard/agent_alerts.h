@@ -7,7 +7,9 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "services/rpc/reading_pace.h"
 #include "services/runtime/log.h"
+#include "services/runtime/metrics.h"
 
 namespace rips::pipeline {
 
@@ -27,10 +29,14 @@ inline void TellRefusedField(Pipeline& pipeline, absl::string_view agent, const 
       .IgnoreError();  // of a robot that is not served; it is logged and counted
 }
 
-// As above, of an agent whose messages cost too much to be read (rpc::ReadingPace). It is logged,
-// too: too much of that robot may wait for the alert to be raised.
-inline void TellReadSlowly(Pipeline& pipeline, absl::string_view agent, const std::string& robot,
-                           absl::string_view host, absl::string_view address) {
+// Whether the stream of an agent's session reads on after a message. A pause is counted, and if it
+// is news, logged and an alert as above: too much of that robot may wait for the alert to be raised.
+inline bool ReadsOn(rpc::ReadingPace::Next next, rips::Counter& pauses, Pipeline& pipeline,
+                    absl::string_view agent, const std::string& robot, absl::string_view host,
+                    absl::string_view address) {
+  if (next == rpc::ReadingPace::Next::kRead) return true;
+  pauses.Increment();
+  if (next != rpc::ReadingPace::Next::kPauseIsNews) return false;
   LogWarning("an agent is read slowly",
              {{"agent", agent}, {"robot", robot}, {"host", host}, {"peer", address}});
   pipeline
@@ -43,6 +49,7 @@ inline void TellReadSlowly(Pipeline& pipeline, absl::string_view agent, const st
               each.Report(engine::Severity::kMedium, text);
             })
       .IgnoreError();
+  return false;
 }
 
 }  // namespace rips::pipeline

@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "policy_server/server/robot/sight/finding_samples.h"
 #include "services/model/finding_digest.h"
 
 namespace rips::pipeline {
@@ -16,16 +17,6 @@ using News = FindingRegistry::News;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
-
-FindingSeen Impostor(uint8_t number, const std::string& node = "/rips") {
-  FindingSeen seen{.kind = "impostor", .node = node, .detail = "why"};
-  seen.guid.bytes[11] = number;
-  return seen;
-}
-FindingSeen Over(FindingSeen seen) {
-  seen.over = true;
-  return seen;
-}
 
 TEST(FindingRegistryTest, IsNewsOnceUntilNobodySaysSo) {
   FindingRegistry registry;
