@@ -29,7 +29,8 @@ std::string HandshakeHint(absl::string_view failure, absl::string_view server,
   }
   if (Says(failure, {"alert", "Socket closed", "onnection reset", "Broken pipe"})) {
     return absl::StrCat("`", server, "` ended the handshake: perhaps it does not trust the issuer ",
-                        "of `", files.cert, "`, or takes no more connections; its log says why");
+                        "of `", files.cert, "`, or takes no more connections from the address of ",
+                        "this host now, which hosts behind the same NAT share; its log says why");
   }
   if (Says(failure, {"wrong version number", "WRONG_VERSION_NUMBER"})) {
     return absl::StrCat("what listens at `", server, "` does not speak TLS; is the port right?");

@@ -339,37 +339,5 @@ TEST(ActionTest, DescribesEvents) {
       "ids alert 1:7 scan");
 }
 
-TEST(WouldRaiseTest, NamesRulesThatWouldRaiseAgainOnTheGraphOrATick) {
-  TestRules rules;
-  const auto stranger = Not(Call(Builtin::kNodesInclude, Texts({"talker"})));
-  rules.Graph("alert only", stranger, {{Alert("x")}});
-  rules.Graph("raise later", stranger, {{Alert("x") >> kThen, Trigger(3)}});
-  rules.Graph("second chain", stranger, {{Alert("x")}, {Trigger(2)}});
-  rules.Graph("at A", And(stranger, Op(Name(Predefined::kCurrLevel), BinaryOp::kEq, L(0))),
-              {{Trigger(1)}});
-  rules.Graph("lower", stranger, {{Trigger(0)}});
-  rules.Graph("quiet", Not(stranger), {{Trigger(3)}});
-  rules.Graph("faulty", Faulty(), {{Trigger(3)}});
-  rules.Tick("on a tick", Call(Builtin::kFindingStands, Texts({"any"})), {{Trigger(3)}});
-  rules.Tick("not known", Not(Call(Builtin::kFindingStands, Texts({"impostor"}))), {{Trigger(3)}});
-  rules.Tick("an event", Call(Builtin::kSignal, Texts({"SIGUSR1"})), {{Trigger(3)}});
-  TestRobot robot(rules, 3);
-  robot.state.graph = TestGraph().Node("/talker").Node("/intruder").Build();
-  robot.state.findings.Add("non_ros_reader");
-  const auto variables = robot.state.Variables();
-
-  EXPECT_THAT(WouldRaise(0, robot.now, robot.state),
-              ElementsAre("raise later", "second chain", "at A", "on a tick"));
-  EXPECT_THAT(WouldRaise(1, robot.now, robot.state),
-              ElementsAre("raise later", "second chain", "on a tick"));
-  EXPECT_THAT(WouldRaise(2, robot.now, robot.state), ElementsAre("raise later", "on a tick"));
-  EXPECT_THAT(WouldRaise(3, robot.now, robot.state), IsEmpty());
-  EXPECT_THAT(WouldRaise(-1, robot.now, robot.state), IsEmpty());
-  EXPECT_THAT(WouldRaise(4, robot.now, robot.state), IsEmpty());
-  EXPECT_EQ(robot.state.level.level(), 3);
-  EXPECT_EQ(robot.state.level.decision_id(), (DecisionId{1, 1}));
-  EXPECT_EQ(robot.state.Variables(), variables);
-}
-
 }  // namespace
 }  // namespace rips::engine

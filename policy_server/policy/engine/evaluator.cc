@@ -89,47 +89,4 @@ Outcome Expire(Instant now, RobotState& state) {
   return outcome;
 }
 
-namespace {
-
-// Adds the names of those of `rules` that would fire on `event` and raise.
-void AddRaisers(const Event& event, const std::vector<uint32_t>& rules, levels::LevelIndex level,
-                Instant now, const RobotState& state, std::vector<std::string>& names) {
-  const CompiledPolicy& program = *state.program();
-  Frame frame(state, state.program(), event, std::max(state.internal().time_ns, now.unix_ns), now,
-              nullptr);
-  Slot out;
-  for (const uint32_t index : rules) {
-    const lang::TypedRule& rule = program.rules().rules[index];
-    Evaluation& run = frame.Enter(rule, level);
-    const EvalStatus answer = Eval(*program.compiled().conditions[index], run, out);
-    const bool open = answer == EvalStatus::kUnscanned &&
-                      program.options().on_inspection_error == OnInspectionError::kMatch;
-    if (!open && (answer != EvalStatus::kValue || !out.truth)) continue;
-    const bool raises =
-        std::any_of(rule.chains.begin(), rule.chains.end(), [&](const lang::TypedChain& chain) {
-          return std::any_of(chain.begin(), chain.end(), [&](const lang::TypedAction& action) {
-            if (action.kind != lang::ActionKind::kTrigger || action.args.empty()) return false;
-            const EvalNode* to = program.compiled().arguments.at(&action.args[0]);
-            return Eval(*to, run, out) == EvalStatus::kValue && out.integer > level &&
-                   out.integer < program.rules().levels.size();
-          });
-        });
-    if (raises) names.push_back(rule.name);
-  }
-}
-
-}  // namespace
-
-std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now,
-                                    const RobotState& state) {
-  std::vector<std::string> names;
-  if (!state.level.table().contains(level)) return names;
-  const CompiledPolicy::Compiled& compiled = state.program()->compiled();
-  AddRaisers({.what = GraphEvent{}}, compiled.graph_rules, level, now, state, names);
-  Event tick;
-  tick.what.emplace<ExternalEvent>(TickEvent{});
-  AddRaisers(tick, compiled.external_rules, level, now, state, names);
-  return names;
-}
-
 }  // namespace rips::engine

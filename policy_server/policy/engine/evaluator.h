@@ -43,12 +43,6 @@ Outcome OnActuation(Instant now, RobotState& state);
 // Parked chains past their deadline go on with failure. Call at least once a second.
 Outcome Expire(Instant now, RobotState& state);
 
-// Names of the Graph rules, in order, whose expression would be true on the graph as it is now if
-// the robot were at `level`, and one of whose chains holds a trigger above it: "what would raise it
-// again". Then those of the External rules of which that is so at the next tick. Whether the chain
-// gets that far is not said. Changes nothing.
-std::vector<std::string> WouldRaise(levels::LevelIndex level, Instant now, const RobotState& state);
-
 }  // namespace rips::engine
 
 #endif  // RIPS_POLICY_SERVER_POLICY_ENGINE_EVALUATOR_H_

@@ -200,13 +200,20 @@ Json ToJson(const v1::GetLevelResponse& response) {
   for (const v1::PendingApproval& each : response.pending_approvals()) {
     pending.push_back(ToJson(each));
   }
+  Json lowering = Json::array();
+  for (const v1::LoweringRule& each : response.lowering_rules()) {
+    lowering.push_back({{"rule", each.rule()},
+                        {"holds", each.has_holds() ? Json(each.holds()) : Json(nullptr)},
+                        {"evidence", ToJson(each.evidence())}});
+  }
   return {{"status", ToJson(response.status())},
           {"levels", std::move(levels)},
           {"last", response.has_last() ? ToJson(response.last()) : Json(nullptr)},
           {"pending_approvals", std::move(pending)},
           {"rules_cannot_lower_because", response.has_rules_cannot_lower_because()
                                              ? Json(response.rules_cannot_lower_because())
-                                             : Json(nullptr)}};
+                                             : Json(nullptr)},
+          {"lowering_rules", std::move(lowering)}};
 }
 
 void PrintJson(const Json& json, std::ostream& out) {

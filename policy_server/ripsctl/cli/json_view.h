@@ -39,7 +39,8 @@ Json ToJson(const v1::ExplainResponse& response);
 // {"id","from","to","decision_id","operator","reason","accept_blind","asked","expires"}
 Json ToJson(const v1::PendingApproval& pending);
 // {"status":{..},"levels":[{"name","soft","two_person"}],"last":transition or null,
-//  "pending_approvals":[..],"rules_cannot_lower_because"}; null at the lowest level, or not known.
+//  "pending_approvals":[..],"rules_cannot_lower_because",
+//  "lowering_rules":[{"rule","holds","evidence"}]}; null at the lowest level, or not known.
 Json ToJson(const v1::GetLevelResponse& response);
 
 // "publisher", "subscriber", "service", "client" or "unknown".

@@ -12,6 +12,7 @@ namespace rips::ripsctl {
 absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot) {
   v1::GetLevelRequest request;
   request.set_robot(robot);
+  request.set_lowering_rules(true);
   return Call(env, &Stub::GetLevel, request);
 }
 
@@ -44,6 +45,11 @@ std::string LoweringByRulesText(const v1::GetLevelResponse& now) {
   const std::string& why = now.rules_cannot_lower_because();
   return why.empty() ? "may lower it when their conditions hold"
                      : absl::StrCat("cannot lower it now: ", why);
+}
+
+std::string HoldsText(const v1::LoweringRule& rule) {
+  if (!rule.has_holds()) return "judges messages";
+  return rule.holds() ? "true now" : "false now";
 }
 
 std::string StageAndPending(const v1::RobotStatus& status) {

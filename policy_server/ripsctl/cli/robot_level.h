@@ -27,6 +27,8 @@ void PrintWarnings(const v1::LevelResponse& found, std::ostream& out);
 std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending);
 // What rules may do to the level now, to be escaped; empty if it is the lowest, or not known.
 std::string LoweringByRulesText(const v1::GetLevelResponse& now);
+// `true now`, `false now`, `judges messages`
+std::string HoldsText(const v1::LoweringRule& rule);
 // `maintenance until 18:20 UTC (carol)`; empty if the robot is in none. To be escaped.
 std::string MaintenanceText(const v1::RobotStatus& status);
 // `verified`; and how many lowerings wait for a second operator.

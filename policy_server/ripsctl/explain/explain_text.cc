@@ -169,16 +169,16 @@ std::vector<std::string> ConditionLines(absl::string_view condition) {
   return lines;
 }
 
-void PrintCondition(absl::string_view condition, std::ostream& out) {
+void PrintCondition(absl::string_view condition, absl::string_view margin, std::ostream& out) {
   const std::vector<std::string> lines = ConditionLines(condition);
   const size_t shown = std::min(lines.size(), kConditionLinesMax);
   for (size_t i = 0; i < shown; ++i) {
-    out << "    " << CutColumns(EscapeText(lines[i]), kConditionColumns) << "\n";
+    out << margin << CutColumns(EscapeText(lines[i]), kConditionColumns) << "\n";
   }
-  if (shown < lines.size()) out << "    (" << lines.size() - shown << " more lines)\n";
+  if (shown < lines.size()) out << margin << "(" << lines.size() - shown << " more lines)\n";
 }
 
-void PrintValues(const v1::Evidence& evidence, std::ostream& out) {
+void PrintValues(const v1::Evidence& evidence, absl::string_view margin, std::ostream& out) {
   std::vector<std::string> pieces;
   size_t width = 0;
   for (const v1::EvidenceValue& value : evidence.values()) {
@@ -190,7 +190,7 @@ void PrintValues(const v1::Evidence& evidence, std::ostream& out) {
   }
   for (int i = 0; i < evidence.values_size(); ++i) {
     const std::string& piece = pieces[static_cast<size_t>(i)];
-    out << "    " << piece << std::string(width - CountCodePoints(piece) + 2, ' ')
+    out << margin << piece << std::string(width - CountCodePoints(piece) + 2, ' ')
         << CutColumns(EscapeText(evidence.values(i).value()), kValueColumns) << "\n";
   }
 }
@@ -216,11 +216,11 @@ void PrintWhy(const v1::ExplainResponse& recorded, std::ostream& out) {
   }
   if (!evidence.condition().empty()) {
     out << "  the condition:\n";
-    PrintCondition(evidence.condition(), out);
+    PrintCondition(evidence.condition(), "    ", out);
   }
   if (!evidence.values().empty()) {
     out << "  its values at that time:\n";
-    PrintValues(evidence, out);
+    PrintValues(evidence, "    ", out);
   }
 }
 
@@ -335,6 +335,18 @@ void PrintNext(const v1::GetLevelResponse& now, absl::string_view to, std::ostre
   }
 }
 
+// Which rule may lower it, and what of its condition is missing.
+void PrintLoweringRule(const v1::LoweringRule& rule, std::ostream& out) {
+  const v1::Evidence& evidence = rule.evidence();
+  out << "    rule " << EscapeText(rule.rule()) << Behind(", ", evidence.place()) << ": "
+      << HoldsText(rule) << "\n";
+  if (evidence.values().empty()) {
+    PrintCondition(evidence.condition(), "      ", out);
+  } else {
+    PrintValues(evidence, "      ", out);
+  }
+}
+
 void PrintNow(const Explanation& explanation, std::ostream& out) {
   if (!explanation.now.has_value()) return;
   if (!explanation.now->ok()) {
@@ -361,6 +373,9 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
   }
   const std::string by_rules = LoweringByRulesText(**explanation.now);
   if (!by_rules.empty()) out << "  rules " << EscapeText(by_rules) << "\n";
+  for (const v1::LoweringRule& rule : (*explanation.now)->lowering_rules()) {
+    PrintLoweringRule(rule, out);
+  }
   if (!explanation.lowering.has_value()) return;
   PrintLowering(status.robot(), *explanation.lowering, explanation.recorded, out);
   PrintNext(**explanation.now, explanation.lowering->to, out);

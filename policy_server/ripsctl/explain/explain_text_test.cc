@@ -389,6 +389,23 @@ TEST(ExplainTextTest, SaysWhatIsNow) {
   now.set_rules_cannot_lower_because("");
   EXPECT_THAT(Print({.recorded = recorded, .now = now}),
               HasSubstr("\n  rules may lower it when their conditions hold\n"));
+  v1::LoweringRule* calm = now.add_lowering_rules();
+  calm->set_rule("calm");
+  calm->set_holds(false);
+  calm->mutable_evidence()->set_place("warehouse.rul:40");
+  calm->mutable_evidence()->set_condition("CurrLevel == ALERT && alone");
+  AddValue(calm->mutable_evidence(), 0, 18, 0, "true");
+  AddValue(calm->mutable_evidence(), 22, 5, 0, "false");
+  v1::LoweringRule* told = now.add_lowering_rules();
+  told->set_rule("told\x1b[2J");
+  told->mutable_evidence()->set_condition("topicin(\"/calm\")");
+  EXPECT_THAT(Print({.recorded = recorded, .now = now}),
+              HasSubstr("\n  rules may lower it when their conditions hold\n"
+                        "    rule calm, warehouse.rul:40: false now\n"
+                        "      CurrLevel == ALERT  true\n"
+                        "      alone               false\n"
+                        "    rule told\\x1b[2J: judges messages\n"
+                        "      topicin(\"/calm\")\n"));
   const auto with = [&](absl::StatusOr<v1::LevelResponse> found) {
     return Print({.recorded = recorded,
                   .now = At("COMPROMISED"),

@@ -44,6 +44,10 @@ class ShowLevel final : public RobotCommand {
     if (const std::string text = LoweringByRulesText(response); !text.empty()) {
       table.Add({"rules", text});
     }
+    for (const v1::LoweringRule& rule : response.lowering_rules()) {
+      table.Add({"to lower it",
+                 absl::StrCat(rule.rule(), ", ", rule.evidence().place(), ": ", HoldsText(rule))});
+    }
     if (response.has_last()) {
       const v1::Transition& last = response.last();
       table.Add({"last change", absl::StrCat(ShortTime(last.time_unix_ns()), " ", last.from(),

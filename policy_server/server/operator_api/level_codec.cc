@@ -6,6 +6,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "policy_server/server/operator_api/answer_limits.h"
+#include "policy_server/server/store/trace_codec.h"
 #include "services/model_proto/decision_id_codec.h"
 
 namespace rips::operator_api {
@@ -47,7 +48,8 @@ void Encode(const pipeline::LevelAnswer& answer, rips::v1::ResetTermResponse& ou
   out.set_decided_level(answer.decided_level);
 }
 
-void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out) {
+void EncodeLevels(const pipeline::RobotCore& core, bool lowering_rules,
+                  rips::v1::GetLevelResponse& out) {
   const pipeline::RobotStatus status = core.Status();
   *out.mutable_status() = EncodeStatus(status);
   const levels::LevelTable& levels = core.levels();
@@ -57,6 +59,14 @@ void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& o
   }
   if (std::optional<std::string> why = core.WhyRulesCannotLower()) {
     out.set_rules_cannot_lower_because(*std::move(why));
+  }
+  if (lowering_rules) {
+    for (const auto& rule : core.LoweringRules()) {
+      rips::v1::LoweringRule& to = *out.add_lowering_rules();
+      to.set_rule(rule.name);
+      if (rule.holds) to.set_holds(*rule.holds);
+      *to.mutable_evidence() = store::EncodeTrace(rule.trace);
+    }
   }
   for (const std::string& level : core.policy().two_person) out.add_two_person_levels(level);
   for (const pipeline::PendingApproval& pending : status.pending_approvals) {

@@ -13,7 +13,8 @@ namespace rips::operator_api {
 void Encode(const pipeline::LevelAnswer& answer, rips::v1::LevelResponse& out);
 void Encode(const pipeline::LevelAnswer& answer, rips::v1::ResetTermResponse& out);
 // All but the last transition.
-void EncodeLevels(const pipeline::RobotCore& core, rips::v1::GetLevelResponse& out);
+void EncodeLevels(const pipeline::RobotCore& core, bool lowering_rules,
+                  rips::v1::GetLevelResponse& out);
 // Which agents the server knows at the addresses that its firewalls drop packets from.
 void NameAgents(const pipeline::AgentContacts& contacts, rips::v1::GetLevelResponse& out);
 

@@ -356,8 +356,9 @@ grpc::ServerUnaryReactor* OperatorService::GetLevel(grpc::CallbackServerContext*
   }
   const absl::Status posted =
       pipeline_->Post(request->robot(), Queue::kOrders,
-                      [this, reactor, response, robot_id = request->robot()](Robot& robot) {
-                        EncodeLevels(robot.core(), *response);
+                      [this, reactor, response, robot_id = request->robot(),
+                       lowering_rules = request->lowering_rules()](Robot& robot) {
+                        EncodeLevels(robot.core(), lowering_rules, *response);
                         Read(reactor, [this, reactor, response, robot_id] {
                           if (access_.contacts) NameAgents(*access_.contacts, *response);
                           const auto newest = store_->ListTransitions(robot_id, kNewestRead);

@@ -16,6 +16,7 @@ using ::testing::ElementsAre;
 using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::Not;
 using ::testing::Optional;
 using ::testing::StartsWith;
 using ::testing::StrEq;
@@ -162,6 +163,18 @@ TEST_F(SoftBudgetTest, WhyRulesCannotLowerIsSaidBeforeTheyTry) {
   EXPECT_THAT(why(), Optional(IsEmpty()));
   robot_->Raise({.operator_name = "alice", .to = "HALT", .reason = "drill"}, [](const auto&) {});
   EXPECT_THAT(why(), Optional(StrEq("`HALT` is not soft, so only a person may lower it")));
+}
+
+TEST_F(SoftBudgetTest, WhichRuleMayLowerIsSaidWithItsConditionNow) {
+  const auto rules = [this] { return robot_->core().LoweringRules(); };
+  Start();
+  Arm();
+  EXPECT_THAT(rules(), IsEmpty()) << "there is no lower level";
+  IntruderAppears();
+  ASSERT_EQ(Level(), "ALERT");
+  ASSERT_EQ(rules().size(), 1);
+  EXPECT_THAT(rules()[0].holds, Optional(false)) << "the intruder is there";
+  EXPECT_THAT(rules()[0].trace.values, Not(IsEmpty()));
 }
 
 TEST_F(SoftBudgetTest, WhatAnOperatorGaveBackARestartDoesNotTake) {

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "gmock/gmock.h"
+#include "policy_server/policy/engine/foresight.h"
 #include "policy_server/policy/engine/test_rules.h"
 
 namespace rips::engine {

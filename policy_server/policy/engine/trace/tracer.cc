@@ -351,14 +351,19 @@ class Tracer {
 
 }  // namespace
 
+Trace DescribeRule(const CompiledPolicy& program, uint32_t index) {
+  const lang::TypedRule& rule = program.rules().rules[index];
+  return {.place = rule.place,
+          .condition = std::string(CutUtf8(rule.condition_text, kConditionBytesMax)),
+          .bundle = program.options().bundle_id,
+          .cut = rule.condition_text.size() > kConditionBytesMax};
+}
+
 Trace TraceRule(Frame& frame, uint32_t index, levels::LevelIndex level) {
   const lang::TypedRule& rule = frame.program().rules().rules[index];
-  Trace trace{.place = rule.place,
-              .condition = std::string(CutUtf8(rule.condition_text, kConditionBytesMax)),
-              .event = Cut(Describe(frame.event())),
-              .event_unix_ns = frame.event().time_unix_ns,
-              .bundle = frame.program().options().bundle_id,
-              .cut = rule.condition_text.size() > kConditionBytesMax};
+  Trace trace = DescribeRule(frame.program(), index);
+  trace.event = Cut(Describe(frame.event()));
+  trace.event_unix_ns = frame.event().time_unix_ns;
   Evaluation& run = frame.Enter(rule, level);
   const uint64_t steps = run.steps;
   Tracer tracer(run, frame.event(), trace, rule.condition.range);

@@ -18,6 +18,9 @@ namespace rips::engine {
 // counts no step. The names that it holds are as hostile as the robot's graph.
 Trace TraceRule(Frame& frame, uint32_t rule, levels::LevelIndex level);
 
+// Where the rule stands, and its condition; nothing of what it is now.
+Trace DescribeRule(const CompiledPolicy& program, uint32_t rule);
+
 // Of RIPS's own alert of a finding: the finding, and the participants that it is about as the graph
 // shows them; at most `subjects_max`, and kSubjectsMax.
 Trace TraceFinding(const model::Finding& finding, const ros2::RosGraph& graph,

@@ -44,6 +44,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "policy_server/policy/engine/foresight.h"
 #include "policy_server/policy/engine/state/robot_state.h"
 #include "policy_server/server/robot/actuators/actuator_side.h"
 #include "policy_server/server/robot/actuators/drills.h"
@@ -117,6 +118,10 @@ class RobotCore {
   // What is in the way of a rule that asks for the next less restrictive level, besides its own
   // condition; empty = nothing, unset at the lowest level.
   std::optional<std::string> WhyRulesCannotLower() const;
+  // Rules that ask for that level, and whether they would now.
+  std::vector<engine::LoweringRule> LoweringRules() const {
+    return engine::LoweringRules(context_.now(), state_);
+  }
   // In force.
   const ros2::RosGraph& graph() const { return state_.graph.get(); }
   const GraphHistory::Version& graph_version() const { return state_.graph.version(); }

@@ -3,6 +3,7 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/policy/engine/foresight.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
