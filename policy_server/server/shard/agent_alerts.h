@@ -30,7 +30,8 @@ inline void TellRefusedField(Pipeline& pipeline, absl::string_view agent, const 
 }
 
 // Whether the stream of an agent's session reads on after a message. A pause is counted, and if it
-// is news, logged and an alert as above: too much of that robot may wait for the alert to be raised.
+// is news, logged and an alert as above: too much of that robot may wait for the alert to be
+// raised.
 inline bool ReadsOn(rpc::ReadingPace::Next next, rips::Counter& pauses, Pipeline& pipeline,
                     absl::string_view agent, const std::string& robot, absl::string_view host,
                     absl::string_view address) {
