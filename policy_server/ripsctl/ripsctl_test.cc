@@ -264,8 +264,12 @@ TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
             "waiting for the robot to reach it, for at most 30s; Ctrl-C stops the wait, not the "
             "decision\n"
             "r1 is at DEFAULT: every actuator has read it back\n");
-  EXPECT_THAT(fake_.calls(),
-              testing::ElementsAre("DeEscalate", "GetLevel", "GetLevel", "GetLevel"));
+  fake_.level_states[0].add_degraded("a second process uses the key of actuator base");
+  EXPECT_THAT(Run(lower).out,
+              testing::EndsWith("every actuator has read it back\n"
+                                "degraded: a second process uses the key of actuator base\n"));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre("DeEscalate", "GetLevel", "GetLevel", "GetLevel",
+                                                  "DeEscalate", "GetLevel"));
   fake_.level_states = {at("requested", 18), at("verified", 19)};
   const Result overtaken = Run(lower);
   EXPECT_EQ(overtaken.code, 1);

@@ -99,6 +99,7 @@ bool AttackAlerts::IsDue(const std::string& name) {
 
 void AttackAlerts::OnConnectionEnded(const rpc::ConnectionGuard::Report& report) {
   if (report.excess == rpc::Excess::kSilent) return;
+  if (report.identity) KeyMisused(*report.identity, report.peer);
   if (!IsDue(absl::StrCat("certificate ", report.certificate))) return;
   std::string what = "sent bytes of which nothing came";
   if (report.excess == rpc::Excess::kCalls) what = "began calls without end";
@@ -115,6 +116,19 @@ void AttackAlerts::OnConnectionEnded(const rpc::ConnectionGuard::Report& report)
                                   : absl::StrCat(" and is banned for ",
                                                  report.banned_ns / kNanosPerSecond, " s"),
                               kRest));
+}
+
+void AttackAlerts::KeyMisused(const rpc::PeerIdentity& identity, const std::string& peer) {
+  const bool agent = identity.role == rpc::Role::kSensor || identity.role == rpc::Role::kActuator;
+  if (!agent || !on_key_misused_) return;
+  {
+    MutexLock lock(&mu_);
+    const int64_t now_ns = clock_->Now().boottime_ns;
+    const auto [at, fresh] = misused_ns_.try_emplace(rpc::ToString(identity), now_ns);
+    if (!fresh && now_ns - at->second < kMisuseEveryNs) return;
+    at->second = now_ns;
+  }
+  on_key_misused_(identity, peer);
 }
 
 void AttackAlerts::OnConnectionWasted(const std::string& address, bool known) {
@@ -177,6 +191,11 @@ void AttackAlerts::OnPeerRefused(const std::string& robot) {
 
 void AttackAlerts::OnCallRefused(const rpc::PeerIdentity& identity, absl::string_view reason,
                                  absl::string_view address) {
+  // Its connections are too many or broke the limits, it says that it is another, or asks for what
+  // is an operator's. Not what a newer or older agent may get wrong.
+  if (reason == "throttled" || reason == "claim" || reason == "role") {
+    KeyMisused(identity, rpc::DecodePeer(address));
+  }
   std::optional<FloodWatch::Report> report;
   {
     MutexLock lock(&mu_);

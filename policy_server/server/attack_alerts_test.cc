@@ -63,7 +63,10 @@ class AttackAlertsTest : public ::testing::Test {
   std::atomic<int> ids_ = 0;
   pipeline::ServerAlerts alerts_{&committer_, &audience_, &clock_,
                                  [this] { return absl::StrFormat("%032x", ++ids_); }};
-  AttackAlerts attacks_{&alerts_, &clock_};
+  std::vector<std::string> misused_;
+  AttackAlerts attacks_{&alerts_, &clock_, [this](const auto& agent, const std::string& peer) {
+                          misused_.push_back(absl::StrCat(rpc::ToString(agent), " ", peer));
+                        }};
 };
 
 TEST_F(AttackAlertsTest, EachCertificateIsToldOnceAMinuteAndAllWithoutOneTogether) {
@@ -80,6 +83,33 @@ TEST_F(AttackAlertsTest, EachCertificateIsToldOnceAMinuteAndAllWithoutOneTogethe
                         HasSubstr(kMallory), HasSubstr("banned for 10 s")),
                   HasSubstr(", whose peer was not known yet, sent bytes of which nothing came"),
                   HasSubstr("began calls without end")));
+}
+
+TEST_F(AttackAlertsTest, TheRobotIsToldOfItsAgentsKeyOnceInFiveSeconds) {
+  const rpc::PeerIdentity sensor{
+      .role = rpc::Role::kSensor, .trust_domain = "td", .robot = "r1", .host = "base"};
+  const auto refuse = [&](absl::string_view reason) {
+    attacks_.OnCallRefused(sensor, reason, "ipv4:10.0.0.66:1");
+  };
+  for (const char* reason : {"expired", "revoked", "banned", "limit", "undecodable"}) {
+    refuse(reason);
+  }
+  EXPECT_THAT(misused_, IsEmpty()) << "by its owner, perhaps";
+  attacks_.OnConnectionEnded({.peer = "ipv4:10.0.0.66:4711",
+                              .certificate = "spiffe://td/robot/r1/sensor/base serial 01",
+                              .identity = sensor,
+                              .excess = rpc::Excess::kRefused});
+  refuse("throttled");
+  EXPECT_THAT(misused_, ElementsAre("spiffe://td/robot/r1/sensor/base ipv4:10.0.0.66:4711"));
+  for (const char* reason : {"throttled", "claim", "role"}) {
+    clock_.Advance(AttackAlerts::kMisuseEveryNs);
+    refuse(reason);
+    refuse(reason);
+  }
+  EXPECT_THAT(misused_, SizeIs(4));
+  End(kMallory);
+  Refuse("mallory", "throttled");
+  EXPECT_THAT(misused_, SizeIs(4)) << "no agent's";
 }
 
 TEST_F(AttackAlertsTest, AConnectionThatOnlyKeepsSilentIsNoAttack) {

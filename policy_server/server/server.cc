@@ -14,6 +14,7 @@
 #include "policy_server/policy/bundle/inventory_files.h"
 #include "policy_server/server/audit/store_audit.h"
 #include "policy_server/server/config/needed_files.h"
+#include "policy_server/server/shard/agent_alerts.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
 #include "services/runtime/await.h"
@@ -175,7 +176,10 @@ absl::Status Server::Open() {
   committer_ = std::make_unique<store::Committer>(store_.get(), std::move(committing), &clock_);
   alerts_ = std::make_unique<pipeline::ServerAlerts>(committer_.get(), hub_.get(), &clock_, NewId);
   if (audit_ != nullptr) heads_ = MakeReturnedHeads(config_.audit_dir, metrics_, alerts_.get());
-  attacks_ = std::make_unique<AttackAlerts>(alerts_.get(), &clock_);
+  attacks_ = std::make_unique<AttackAlerts>(
+      alerts_.get(), &clock_, [this](const rpc::PeerIdentity& agent, const std::string& peer) {
+        pipeline::TellKeyMisused(*pipeline_, agent, peer);
+      });
   store_watch_ = std::make_unique<pipeline::StoreWatch>(committer_.get(), alerts_.get(), &clock_,
                                                         config_.store_path, MakeStoreCounts());
   outputs_ = std::make_unique<outputs::Outputs>(
@@ -325,34 +329,6 @@ absl::Status Server::GuardPeers() {
     attacks_->Poll();
   });
   return absl::OkStatus();
-}
-
-void Server::LookAtRevocations() {
-  credentials_->Refresh();
-  const absl::Status problem =
-      credentials_->RevocationProblem(absl::FromUnixNanos(clock_.Now().unix_ns));
-  revocation_problem_.Set(problem.ok() ? 0 : 1);
-  {
-    MutexLock lock(&revocation_mu_);
-    if (revocation_told_ == problem.message()) return;
-    revocation_told_ = std::string(problem.message());
-  }
-  if (!problem.ok()) OwnAlert(engine::Severity::kCritical, std::string(problem.message()));
-}
-
-void Server::OnCertificate(const rpc::CertificateMonitor::Notice& notice) {
-  const engine::Severity severity = notice.stage == rpc::LifeStage::kThird
-                                        ? engine::Severity::kMedium
-                                    : notice.own ? engine::Severity::kCritical
-                                                 : engine::Severity::kHigh;
-  const std::string text = rpc::CertificateMonitor::Text(notice);
-  if (notice.own) return OwnAlert(severity, text);
-  const std::string& robot = notice.certificate.identity.robot;
-  if (robot.empty()) return;  // an operator's: logged
-  pipeline_
-      ->Post(robot, pipeline::Queue::kOrders,
-             [severity, text](pipeline::Robot& each) { each.Report(severity, text); })
-      .IgnoreError();  // not of ours
 }
 
 absl::Status Server::OpenJail() {

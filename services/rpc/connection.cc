@@ -55,6 +55,11 @@ std::string Connection::shown() const {
   return certificate_.empty() && peer_.has_value() ? Describe(*peer_) : certificate_;
 }
 
+std::optional<PeerIdentity> Connection::identity() const {
+  MutexLock lock(&mu_);
+  return peer_.has_value() ? std::optional(peer_->identity) : std::nullopt;
+}
+
 Excess Connection::OnCall(int64_t now_ns) {
   MutexLock lock(&mu_);
   return budget_.OnCall(now_ns);

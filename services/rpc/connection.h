@@ -68,6 +68,8 @@ class Connection {
   std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
   // That, or the one that ReadPeer has read, admitted or not.
   std::string shown() const ABSL_LOCKS_EXCLUDED(mu_);
+  // Whose ReadPeer has read it to be.
+  std::optional<PeerIdentity> identity() const ABSL_LOCKS_EXCLUDED(mu_);
 
   const Source source_;
   const int64_t taken_ns_;

@@ -115,8 +115,28 @@ void Admission::Left(const Source& source) {
   if (network != networks_.end() && --network->second == 0) networks_.erase(network);
 }
 
-void Admission::Identified(const Source& source, int64_t now_ns) {
-  Touch(source.address, now_ns).known_until_ns = now_ns + kKnownNs;
+bool Admission::MayVouch(const std::string& address, const std::string& certificate,
+                         int64_t now_ns) {
+  const auto over = [now_ns](const auto& each) { return each.second <= now_ns; };
+  if (vouched_.size() >= kAddressesMax && !vouched_.contains(certificate)) {
+    absl::erase_if(vouched_, [&](auto& each) {
+      absl::erase_if(each.second, over);
+      return each.second.empty();
+    });
+    if (vouched_.size() >= kAddressesMax) return false;
+  }
+  auto& addresses = vouched_[certificate];
+  if (addresses.size() >= kVouchedMax && !addresses.contains(address)) {
+    absl::erase_if(addresses, over);
+    if (addresses.size() >= kVouchedMax) return false;
+  }
+  addresses[address] = now_ns + kKnownNs;
+  return true;
+}
+
+void Admission::Identified(const Source& source, const std::string& certificate, int64_t now_ns) {
+  Address& address = Touch(source.address, now_ns);
+  if (MayVouch(source.address, certificate, now_ns)) address.known_until_ns = now_ns + kKnownNs;
 }
 
 int Admission::InNetwork(const Source& source) const {

@@ -17,7 +17,8 @@
 // one to end for it (MakeRoomLocked).
 //
 // An address is an IPv4 address or an IPv6 /64, its network an IPv4 /24 or an IPv6 /48. It is known
-// for an hour after a connection from it was identified by a certificate of ours.
+// for an hour after a connection from it was identified by a certificate of ours. Each certificate
+// makes kVouchedMax addresses known, no more: who has stolen one must not make thousands known.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_ADMISSION_H_
 #define RIPS_SERVICES_RPC_CONNECTION_ADMISSION_H_
 
@@ -62,6 +63,8 @@ class Admission {
   // The first ban of an address; doubled for each that follows within kKnownNs, up to the last.
   static constexpr int64_t kBanNs = 10 * kNanosPerSecond;
   static constexpr int64_t kBanNsMax = 600 * kNanosPerSecond;
+  // Addresses that one certificate makes known at the same time; the first ones stay.
+  static constexpr size_t kVouchedMax = 4;
   // Addresses that are remembered; beyond it, of those without connections the half that was heard
   // of longest ago is forgotten.
   static constexpr size_t kAddressesMax = 8'192;
@@ -74,7 +77,7 @@ class Admission {
   Verdict Ask(const Source& source, int64_t now_ns);
   void Left(const Source& source);
   // A certificate of ours was shown.
-  void Identified(const Source& source, int64_t now_ns);
+  void Identified(const Source& source, const std::string& certificate, int64_t now_ns);
   // How long it lasts.
   int64_t Ban(const Source& source, int64_t now_ns);
   int total() const { return total_; }
@@ -96,11 +99,15 @@ class Admission {
   };
   Address& Touch(const std::string& address, int64_t now_ns);
   void Forget();
+  // This certificate may make the address known.
+  bool MayVouch(const std::string& address, const std::string& certificate, int64_t now_ns);
 
   const AdmissionLimits limits_;
   int total_ = 0;
   absl::flat_hash_map<std::string, Address> addresses_;
   absl::flat_hash_map<std::string, int> networks_;
+  // By certificate: the addresses that it makes known, and until when.
+  absl::flat_hash_map<std::string, absl::flat_hash_map<std::string, int64_t>> vouched_;
 };
 
 absl::string_view ToString(Admission::Verdict verdict);

@@ -87,7 +87,7 @@ TEST_F(AdmissionTest, ANetworkHasSoManyConnections) {
 
 TEST_F(AdmissionTest, TheReserveIsForThoseThatAreKnown) {
   const Source known = V4("10.9.0.1");
-  admission_.Identified(known, now_ns_);
+  admission_.Identified(known, "alice", now_ns_);
   int taken = 0;
   for (int i = 0; i < 10; ++i) taken += Fill(V4(absl::StrCat("10.", i, ".0.7")));
   EXPECT_EQ(taken, 15);
@@ -95,6 +95,24 @@ TEST_F(AdmissionTest, TheReserveIsForThoseThatAreKnown) {
   EXPECT_EQ(Ask(known), Verdict::kTake);
   Seconds(3'601);
   EXPECT_EQ(Ask(known), Verdict::kTotal) << "not for ever";
+}
+
+TEST_F(AdmissionTest, AStolenCertificateMakesFewAddressesKnown) {
+  admission_.Identified(V4("10.9.0.1"), "robot", now_ns_);
+  for (int i = 0; i < 250; ++i) {
+    admission_.Identified(V4(absl::StrCat("10.8.0.", i)), "robot", now_ns_);
+  }
+  int known = 0;
+  for (int i = 0; i < 250; ++i) {
+    known += admission_.Known(V4(absl::StrCat("10.8.0.", i)), now_ns_) ? 1 : 0;
+  }
+  EXPECT_EQ(known, 3);
+  EXPECT_TRUE(admission_.Known(V4("10.9.0.1"), now_ns_)) << "its owner's stays";
+  admission_.Identified(V4("10.8.0.200"), "another", now_ns_);
+  EXPECT_TRUE(admission_.Known(V4("10.8.0.200"), now_ns_)) << "by another's word";
+  Seconds(3'601);
+  admission_.Identified(V4("10.8.0.100"), "robot", now_ns_);
+  EXPECT_TRUE(admission_.Known(V4("10.8.0.100"), now_ns_)) << "what is over counts no more";
 }
 
 TEST_F(AdmissionTest, AnAddressOpensSoManyASecond) {
@@ -131,7 +149,7 @@ TEST_F(AdmissionTest, ABanIsLongerEachTime) {
 
 TEST_F(AdmissionTest, ABannedAddressThatIsKnownIsOnlySlowedDown) {
   const Source source = V4("10.0.0.1");
-  admission_.Identified(source, now_ns_);
+  admission_.Identified(source, "alice", now_ns_);
   admission_.Ban(source, now_ns_);
   EXPECT_EQ(Ask(source), Verdict::kTake) << "an agent of ours may be behind it";
   EXPECT_EQ(Ask(source), Verdict::kRate);

@@ -492,7 +492,7 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
       waiting_.GiveBack();
     }
     if (!agent || MayCallLocked(certificate, now_ns)) {
-      admission_.Identified(connection->source(), now_ns);
+      admission_.Identified(connection->source(), certificate, now_ns);
       return absl::OkStatus();
     }
   }
@@ -528,8 +528,10 @@ int64_t ConnectionGuard::BanLocked(const Connection& connection, int64_t now_ns)
 void ConnectionGuard::EndFor(Connection& connection, Excess excess) {
   if (!connection.End()) return;
   const int64_t now_ns = clock_->Now().boottime_ns;
-  Report report{
-      .peer = connection.source().peer, .certificate = connection.shown(), .excess = excess};
+  Report report{.peer = connection.source().peer,
+                .certificate = connection.shown(),
+                .identity = connection.identity(),
+                .excess = excess};
   CountEnded(metrics_, ToString(excess));
   {
     MutexLock lock(&mu_);

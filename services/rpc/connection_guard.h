@@ -24,6 +24,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -42,6 +43,7 @@
 #include "services/rpc/connection_admission.h"
 #include "services/rpc/connection_budget.h"
 #include "services/rpc/handshake_queue.h"
+#include "services/rpc/identity.h"
 #include "services/rpc/socket_activity.h"
 #include "services/runtime/log_limiter.h"
 #include "services/runtime/metrics.h"
@@ -58,6 +60,8 @@ class ConnectionGuard {
     std::string peer;
     // Empty = not identified.
     std::string certificate;
+    // Whose that is.
+    std::optional<PeerIdentity> identity;
     Excess excess = Excess::kNone;
     int64_t banned_ns = 0;
   };

@@ -28,9 +28,10 @@ std::string HandshakeHint(absl::string_view failure, absl::string_view server,
                         "TLS, and is the port right?");
   }
   if (Says(failure, {"alert", "Socket closed", "onnection reset", "Broken pipe"})) {
-    return absl::StrCat("`", server, "` ended the handshake: perhaps it does not trust the issuer ",
-                        "of `", files.cert, "`, or takes no more connections from the address of ",
-                        "this host now, which hosts behind the same NAT share; its log says why");
+    return absl::StrCat("`", server, "` ended the connection: it does not trust the issuer of `",
+                        files.cert, "`, or it is busy or under attack and takes no more ",
+                        "connections from this host's address now, which hosts behind the same ",
+                        "NAT share: try again; its log says which");
   }
   if (Says(failure, {"wrong version number", "WRONG_VERSION_NUMBER"})) {
     return absl::StrCat("what listens at `", server, "` does not speak TLS; is the port right?");

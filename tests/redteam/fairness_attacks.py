@@ -436,6 +436,7 @@ def calls_of_a_stolen_sensor(fleet):
     print(f"{begun} calls begun")
     fleet.unharmed()
     fleet.named("127.0.0.2", "robot/r2/sensor/base")
+    fleet.told_of("r2", "the key of sensor r2/base is used from ipv4:127.0.0.2")
 
 
 @scenario

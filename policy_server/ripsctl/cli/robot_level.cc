@@ -9,10 +9,11 @@
 
 namespace rips::ripsctl {
 
-absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot) {
+absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot,
+                                               bool lowering_rules) {
   v1::GetLevelRequest request;
   request.set_robot(robot);
-  request.set_lowering_rules(true);
+  request.set_lowering_rules(lowering_rules);
   return Call(env, &Stub::GetLevel, request);
 }
 

@@ -14,7 +14,9 @@
 
 namespace rips::ripsctl {
 
-absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot);
+// `lowering_rules`: with the rules that may lower it.
+absl::StatusOr<v1::GetLevelResponse> ReadLevel(Env& env, const std::string& robot,
+                                               bool lowering_rules = false);
 
 // The first rows of what there is to say of one robot.
 Table StatusTable(const v1::RobotStatus& status);

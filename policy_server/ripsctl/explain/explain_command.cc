@@ -195,7 +195,7 @@ class Explain final : public Command {
 
   // The decision that the robot is at.
   static absl::StatusOr<Explanation> OfRobot(Env& env, const std::string& robot) {
-    RIPS_ASSIGN_OR_RETURN(v1::GetLevelResponse now, ReadLevel(env, robot));
+    RIPS_ASSIGN_OR_RETURN(v1::GetLevelResponse now, ReadLevel(env, robot, /*lowering_rules=*/true));
     const DecisionId decision_id = model_proto::Decode(now.status().decision_id());
     Explanation explanation;
     if (!decision_id.none()) {
@@ -230,7 +230,7 @@ class Explain final : public Command {
         recorded.has_transition() ? recorded.transition().robot() : recorded.alert().robot();
     // Of the server's own alerts there is no robot.
     if (!explanation.now.has_value() && CheckRobot(robot).ok()) {
-      explanation.now = ReadLevel(env, robot);
+      explanation.now = ReadLevel(env, robot, /*lowering_rules=*/true);
     }
     if (!explanation.now.has_value() || !explanation.now->ok()) return;
     AddFindings(env, (*explanation.now)->status().robot(), explanation);

@@ -38,7 +38,9 @@ Awaited AwaitReached(Env& env, const std::string& robot, const v1::LevelResponse
                                  seen->has_last() ? ", " : "", seen->last().cause())};
       }
       if (status.stage() == "verified") {
-        return {.reached = true, .level = status.effective_level()};
+        return {.reached = true,
+                .level = status.effective_level(),
+                .degraded = {status.degraded().begin(), status.degraded().end()}};
       }
       why = absl::StrCat(status.stage(), status.degraded().empty() ? "" : ": ",
                          absl::StrJoin(status.degraded(), "; "));
@@ -61,6 +63,10 @@ void PrintAwaited(Env& env, const std::string& robot, const v1::LevelResponse& d
     env.out << robot << " is at " << EscapeText(awaited.level)
             << (awaited.level == decided.decided_level() ? "" : ", above the level decided")
             << ": every actuator has read it back\n";
+    // Such as that another process uses the key of one.
+    for (const std::string& why : awaited.degraded) {
+      env.out << "degraded: " << EscapeText(why) << "\n";
+    }
   } else {
     env.out << robot << " is not at " << EscapeText(decided.decided_level()) << ": "
             << EscapeText(awaited.why) << "\n";

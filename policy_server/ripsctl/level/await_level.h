@@ -3,6 +3,7 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_LEVEL_AWAIT_LEVEL_H_
 
 #include <string>
+#include <vector>
 
 #include "policy_server/ripsctl/cli/env.h"
 #include "policy_server/ripsctl/cli/json_view.h"
@@ -16,6 +17,8 @@ struct Awaited {
   // That the actuators hold; may be above the one decided.
   std::string level;
   std::string why;
+  // Of a robot that is there.
+  std::vector<std::string> degraded;
 };
 
 // Waits for at most 30 s, asking twice a second. What failed is tried again by the server, so that

@@ -32,7 +32,7 @@ class ShowLevel final : public RobotCommand {
       : RobotCommand({"level", "show",
                       "Show a robot's current level, its possible levels and the last change"}) {}
   absl::StatusOr<ExitCode> Run(Env& env) override {
-    RIPS_ASSIGN_OR_RETURN(const auto response, ReadLevel(env, robot_));
+    RIPS_ASSIGN_OR_RETURN(const auto response, ReadLevel(env, robot_, /*lowering_rules=*/true));
     const auto firewalls = ReadFirewalls(env, robot_, response);
     if (env.json()) {
       Json json = ToJson(response);

@@ -66,6 +66,8 @@ class Robot {
   // RIPS's own alert of what others found out about its agents; each caller is a kind.
   void Report(engine::Severity severity, const std::string& text,
               std::source_location where = std::source_location::current());
+  // The key of one of its agents was used for what none of ours does.
+  void OnKeyMisused(input::KeyMisused misuse) { Do(std::move(misuse)); }
   // As Drills::Start.
   void StartDrill(const DrillOrder& order, DrillReply reply);
   // The recorder gets every event that is judged. ResourceExhausted past kTapsMax.

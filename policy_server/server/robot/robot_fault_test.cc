@@ -10,6 +10,7 @@ namespace {
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 using ::testing::Not;
 
 constexpr char kExecRules[] = R"(
@@ -299,6 +300,43 @@ TEST_F(RobotTest, ASessionFromAnotherAddressIsTold) {
   EXPECT_EQ(audience_.Count("sensor r1/base now comes from ipv4:10.0.0.66:4711, before from "
                             "ipv4:10.0.0.7:4712"),
             1);
+  const std::string moved = "sensor base came from another address less than 45 s ago";
+  sensor_heartbeats_ = true;
+  EXPECT_THAT(robot_->Status().degraded, Contains(moved)) << "who else has the key was not heard";
+  Pass(46'000);
+  EXPECT_THAT(robot_->Status().degraded, Not(Contains(moved)));
+}
+
+// Whoever has the session: the other one may be kept out by what was done.
+TEST_F(RobotTest, AnAgentWhoseKeyIsMisusedIsDoubted) {
+  Start();
+  Arm();
+  const std::string doubt = "the key of sensor base is used for what no agent does";
+  const auto misuse = [this](bool sensor, const std::string& host) {
+    robot_->OnKeyMisused({.sensor = sensor, .host = host, .peer = "ipv4:10.0.0.66:4711"});
+  };
+  EXPECT_THAT(robot_->Status().degraded, IsEmpty());
+  misuse(true, "laptop");
+  EXPECT_THAT(robot_->Status().degraded, IsEmpty()) << "no sensor of this robot";
+  for (int i = 0; i < 3; ++i) misuse(true, "base");
+  EXPECT_EQ(audience_.Count("the key of sensor r1/base is used from ipv4:10.0.0.66:4711 for what "
+                            "no agent of RIPS does"),
+            1);
+  EXPECT_EQ(audience_.alerts.back().severity, "critical");
+  EXPECT_THAT(robot_->Status().degraded, Contains(doubt));
+  EXPECT_FALSE(robot_->core().findings().known().All());
+
+  sensor_heartbeats_ = false;
+  Pass(1'600);
+  ConnectSensor();
+  sensor_heartbeats_ = true;
+  EXPECT_THAT(robot_->Status().degraded, Contains(doubt)) << "the new session may be the thief's";
+  Pass(91'000);
+  EXPECT_THAT(robot_->Status().degraded, Not(Contains(doubt)));
+
+  misuse(false, "base");
+  EXPECT_THAT(robot_->Status().degraded,
+              Contains("the key of actuator base is used for what no agent does"));
 }
 
 // A store that was restored knows nothing of the decision, and the actuator neither.

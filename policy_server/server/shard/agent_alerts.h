@@ -7,6 +7,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/server/shard/pipeline.h"
+#include "services/rpc/identity.h"
 #include "services/rpc/reading_pace.h"
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
@@ -27,6 +28,18 @@ inline void TellRefusedField(Pipeline& pipeline, absl::string_view agent, const 
               each.Report(engine::Severity::kHigh, text);
             })
       .IgnoreError();  // of a robot that is not served; it is logged and counted
+}
+
+// Tells a robot that the key of one of its agents was used for what none does (AttackAlerts): it
+// doubts for a while what that agent says. Any thread.
+inline void TellKeyMisused(Pipeline& pipeline, const rpc::PeerIdentity& agent,
+                           const std::string& peer) {
+  pipeline
+      .Post(agent.robot, Lane::kControl,
+            [misuse = input::KeyMisused{.sensor = agent.role == rpc::Role::kSensor,
+                                        .host = agent.host,
+                                        .peer = peer}](Robot& each) { each.OnKeyMisused(misuse); })
+      .IgnoreError();  // of a robot that is not served
 }
 
 // Whether the stream of an agent's session reads on after a message. A pause is counted, and if it

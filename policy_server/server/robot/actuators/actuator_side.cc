@@ -436,8 +436,8 @@ void ActuatorSide::AddProblems(std::vector<std::string>& problems) const {
   for (const auto& [name, host] : hosts_) {
     if (!Live(host)) {
       problems.push_back(absl::StrCat("actuator ", name, " holds no live lease"));
-    } else if (own_agents_.Contested(Named(name))) {
-      problems.push_back(absl::StrCat("a second process uses the key of actuator ", name));
+    } else if (std::string doubt = own_agents_.DoubtOf(Named(name)); !doubt.empty()) {
+      problems.push_back(std::move(doubt));
     }
   }
 }

@@ -202,6 +202,12 @@ struct TermDrawn {
   absl::StatusOr<uint64_t> term;
 };
 // At least every 50 ms.
+// Of the agent of this host (`sensor`: its sensor, else its actuator), from `peer`.
+struct KeyMisused {
+  bool sensor = false;
+  std::string host;
+  std::string peer;
+};
 struct Time {};
 
 }  // namespace input
@@ -213,9 +219,9 @@ using Input =
                  input::ActuatorGone, input::Raise, input::DeEscalate, input::Approve,
                  input::OperatorBanned, input::ResetTerm, input::ResumeRules, input::SetMaintenance,
                  input::SendSignal, input::StartDrill, input::RefusedOrder, input::Report,
-                 input::SwapPolicy, input::WatchAlso, input::SetHosts, input::PolicyProblem,
-                 input::Drain, input::Retire, input::Recorded, input::RaisesSaved,
-                 input::DecisionFound, input::TermDrawn, input::Time>;
+                 input::KeyMisused, input::SwapPolicy, input::WatchAlso, input::SetHosts,
+                 input::PolicyProblem, input::Drain, input::Retire, input::Recorded,
+                 input::RaisesSaved, input::DecisionFound, input::TermDrawn, input::Time>;
 
 }  // namespace rips::pipeline
 

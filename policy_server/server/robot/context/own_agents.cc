@@ -52,7 +52,7 @@ std::vector<std::string> OwnAgents::parts() const {
 }
 
 void OwnAgents::OnSession(const std::string& agent, const std::string& peer) {
-  const std::string before = agents_[agent].second.Begin(peer);
+  const std::string before = agents_[agent].second.Begin(peer, context_.now_ns());
   if (before.empty()) return;
   alerts_.Raise(engine::Severity::kMedium,
                 absl::StrCat(FullName(agent), " now comes from ", peer, ", before from ", before,
@@ -76,9 +76,34 @@ void OwnAgents::OnHeard(const std::string& agent) {
                              "; find out which of them is the robot, and replace the key"));
 }
 
-bool OwnAgents::Contested(const std::string& agent) const {
+void OwnAgents::OnMisused(const std::string& agent, const std::string& peer) {
+  SecondHolder& second = agents_[agent].second;
+  if (!second.Misused(context_.now_ns())) return;
+  alerts_.Raise(
+      engine::Severity::kCritical,
+      absl::StrCat("the key of ", FullName(agent), " is used from ", peer,
+                   " for what no agent of RIPS does",
+                   second.holder().empty()
+                       ? std::string("; it has had no session yet")
+                       : absl::StrCat("; its session is, or was last, from ", second.holder()),
+                   "; find out which of them is the robot, and replace the key"));
+}
+
+std::string OwnAgents::DoubtOf(const std::string& agent) const {
   const auto it = agents_.find(agent);
-  return it != agents_.end() && it->second.second.Contested(context_.now_ns());
+  if (it == agents_.end()) return "";
+  switch (it->second.second.DoubtAt(context_.now_ns())) {
+    case SecondHolder::Doubt::kSecond:
+      return absl::StrCat("a second process uses the key of ", agent);
+    case SecondHolder::Doubt::kMisused:
+      return absl::StrCat("the key of ", agent, " is used for what no agent does");
+    case SecondHolder::Doubt::kMoved:
+      return absl::StrCat(agent, " came from another address less than ",
+                          SecondHolder::kMovedNs / kNanosPerSecond, " s ago");
+    case SecondHolder::Doubt::kNone:
+      break;
+  }
+  return "";
 }
 
 }  // namespace rips::pipeline

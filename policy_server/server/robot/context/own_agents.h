@@ -1,4 +1,4 @@
-// What RIPS's own agents of one robot are on its bus, and whether a second process uses the key of
+// What RIPS's own agents of one robot are on its bus, and whether another process uses the key of
 // one. Pure.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_OWN_AGENTS_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_CONTEXT_OWN_AGENTS_H_
@@ -41,8 +41,10 @@ class OwnAgents {
   void OnSession(const std::string& agent, const std::string& peer);
   void OnRefused(const std::string& agent, const std::string& peer);
   void OnHeard(const std::string& agent);
-  // Two processes use its key.
-  bool Contested(const std::string& agent) const;
+  // Its key was used for what no agent does.
+  void OnMisused(const std::string& agent, const std::string& peer);
+  // Why what its session says may be another process's; empty = nothing speaks for that.
+  std::string DoubtOf(const std::string& agent) const;
 
  private:
   struct Agent {

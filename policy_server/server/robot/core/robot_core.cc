@@ -181,6 +181,13 @@ RobotCore::After RobotCore::Handle(const Input& input) {
             alerts_.RaiseOfKind(in.kind, in.severity, in.text);
             return kAll;
           },
+          [&](const input::KeyMisused& in) {
+            if (in.sensor ? sensors_.Listed(in.host) != nullptr : actuators_.Lists(in.host)) {
+              own_agents_.OnMisused(absl::StrCat(in.sensor ? "sensor " : "actuator ", in.host),
+                                    in.peer);
+            }
+            return kAll;
+          },
           [&](const input::SwapPolicy& in) { return OnSwapPolicy(in), kAll; },
           [&](const input::WatchAlso& in) {
             context_.watch.SetAlso(in.also, context_.policy);

@@ -379,8 +379,8 @@ SensorHost* SensorSide::Listed(const std::string& host) {
   return it == hosts_.end() ? nullptr : &it->second;
 }
 
-bool SensorSide::Contested(const SensorHost& host) const {
-  return own_agents_.Contested(Named(host));
+std::string SensorSide::DoubtOf(const SensorHost& host) const {
+  return own_agents_.DoubtOf(Named(host));
 }
 
 void SensorSide::AddProblems(std::vector<std::string>& problems) const {
@@ -392,9 +392,7 @@ void SensorSide::AddProblems(std::vector<std::string>& problems) const {
     if (context_.now_ns() - host.session->heard_ns > context_.timing.stale_ns) {
       problems.push_back(absl::StrCat("sensor ", name, " is silent"));
     }
-    if (Contested(host)) {
-      problems.push_back(absl::StrCat("a second process uses the key of sensor ", name));
-    }
+    if (std::string doubt = DoubtOf(host); !doubt.empty()) problems.push_back(std::move(doubt));
     if (std::string problem = InterestProblem(host); !problem.empty()) {
       problems.push_back(std::move(problem));
     }

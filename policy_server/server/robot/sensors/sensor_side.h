@@ -65,8 +65,8 @@ class SensorSide {
   // ---- what is known of them
   const SensorHosts& hosts() const { return hosts_; }
   SensorHost* primary() { return Listed(context_.config.primary_sensor); }
-  // A second process uses the sensor's key: either may be the sensor.
-  bool Contested(const SensorHost& host) const;
+  // As OwnAgents::DoubtOf.
+  std::string DoubtOf(const SensorHost& host) const;
   // What keeps evidence from being complete.
   void AddProblems(std::vector<std::string>& problems) const;
   bool HasBacklog() const;

@@ -21,9 +21,7 @@ std::string FindingsKnown::NotCurrent(const SensorHost& host) const {
   if (context_.now_ns() - host.session->heard_ns > context_.timing.stale_ns) {
     return absl::StrCat("sensor ", host.name, " is silent");
   }
-  if (sensors_.Contested(host)) {
-    return absl::StrCat("a second process uses the key of sensor ", host.name);
-  }
+  if (std::string doubt = sensors_.DoubtOf(host); !doubt.empty()) return doubt;
   if (host.HasBacklog()) {
     return absl::StrCat("observations of sensor ", host.name, " are not judged yet");
   }
