@@ -50,7 +50,8 @@ absl::StatusOr<Peer> CallGate::Admit(const grpc::CallbackServerContext& context,
   if (const auto refusal = Against(*peer)) return Refuse(*refusal, &*peer, address);
   if (connections_ != nullptr) {
     const std::string certificate = Describe(*peer);
-    const absl::Duration left = connections_->Banned(certificate);
+    const absl::Duration left = connections_->Banned(
+        certificate, connection == nullptr ? std::string() : connection->source().address);
     if (left > absl::ZeroDuration()) {
       const std::string text =
           absl::StrCat("a connection with this certificate broke the limits; try again in ",

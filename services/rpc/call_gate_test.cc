@@ -109,7 +109,7 @@ TEST_F(CallGateTest, ACertificateThatSendsManyIsBanned) {
     Drill("\xff");
     return told_.Pop(kPatience)->certificate;
   }();
-  while (guard_->Banned(certificate) == absl::ZeroDuration()) {
+  while (guard_->Banned(certificate, "127.0.0.1") == absl::ZeroDuration()) {
     ASSERT_LT(BoottimeNow(), deadline_ns);
     Drill("\xff");
   }

@@ -27,10 +27,12 @@ void Connection::Exceed(Excess why) {
   budget_.Exceed(why);
 }
 
-void Connection::Identify(const std::string& certificate, bool agent) {
+void Connection::Identify(const std::string& certificate, const std::string& account, bool agent) {
   MutexLock lock(&mu_);
   budget_.OnIdentified(agent);
-  if (certificate_.empty()) certificate_ = certificate;
+  if (!certificate_.empty()) return;
+  certificate_ = certificate;
+  account_ = account;
 }
 
 absl::StatusOr<Peer> Connection::ReadPeer(const grpc::AuthContext& auth) {
@@ -48,6 +50,11 @@ void Connection::OnThrottled() {
 std::string Connection::certificate() const {
   MutexLock lock(&mu_);
   return certificate_;
+}
+
+std::string Connection::account() const {
+  MutexLock lock(&mu_);
+  return account_;
 }
 
 std::string Connection::shown() const {

@@ -37,8 +37,10 @@ class Connection {
   // A handler has refused a message, which none of ours sends: the connection is ended soon, and
   // its certificate banned.
   void OnRefused() ABSL_LOCKS_EXCLUDED(mu_) { Exceed(Excess::kRefused); }
-  // The peer's certificate: `spiffe://td/robot/r1/sensor/base serial 0f3a`. The first one counts.
-  void Identify(const std::string& certificate, bool agent) ABSL_LOCKS_EXCLUDED(mu_);
+  // The peer's certificate: `spiffe://td/robot/r1/sensor/base serial 0f3a`, and what its limits are
+  // counted by. The first one counts.
+  void Identify(const std::string& certificate, const std::string& account, bool agent)
+      ABSL_LOCKS_EXCLUDED(mu_);
   const Source& source() const { return source_; }
   // PeerOf, once: on a connection the certificate stays, and reading it is dear.
   absl::StatusOr<Peer> ReadPeer(const grpc::AuthContext& auth) ABSL_LOCKS_EXCLUDED(mu_);
@@ -66,6 +68,7 @@ class Connection {
   bool End() ABSL_LOCKS_EXCLUDED(mu_);
   // The one it was admitted with; empty = none.
   std::string certificate() const ABSL_LOCKS_EXCLUDED(mu_);
+  std::string account() const ABSL_LOCKS_EXCLUDED(mu_);
   // That, or the one that ReadPeer has read, admitted or not.
   std::string shown() const ABSL_LOCKS_EXCLUDED(mu_);
   // Whose ReadPeer has read it to be.
@@ -81,6 +84,7 @@ class Connection {
   mutable Mutex mu_;
   ConnectionBudget budget_ ABSL_GUARDED_BY(mu_);
   std::string certificate_ ABSL_GUARDED_BY(mu_);
+  std::string account_ ABSL_GUARDED_BY(mu_);
   std::optional<Peer> peer_ ABSL_GUARDED_BY(mu_);
   bool ended_ ABSL_GUARDED_BY(mu_) = false;
   Look look_ ABSL_GUARDED_BY(mu_);

@@ -139,6 +139,14 @@ void Admission::Identified(const Source& source, const std::string& certificate,
   if (MayVouch(source.address, certificate, now_ns)) address.known_until_ns = now_ns + kKnownNs;
 }
 
+bool Admission::AtHome(const std::string& address, const std::string& certificate,
+                       int64_t now_ns) const {
+  const auto vouched = vouched_.find(certificate);
+  if (vouched == vouched_.end()) return false;
+  const auto at = vouched->second.find(address);
+  return at != vouched->second.end() && now_ns < at->second;
+}
+
 int Admission::InNetwork(const Source& source) const {
   const auto it = networks_.find(source.network);
   return it == networks_.end() ? 0 : it->second;

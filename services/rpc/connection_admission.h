@@ -78,6 +78,8 @@ class Admission {
   void Left(const Source& source);
   // A certificate of ours was shown.
   void Identified(const Source& source, const std::string& certificate, int64_t now_ns);
+  // The certificate makes the address known: it is at home there.
+  bool AtHome(const std::string& address, const std::string& certificate, int64_t now_ns) const;
   // How long it lasts.
   int64_t Ban(const Source& source, int64_t now_ns);
   int total() const { return total_; }

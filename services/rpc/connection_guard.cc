@@ -41,6 +41,8 @@ constexpr size_t kRoomAtOnce = 16;
 // After so many looks also a connection at rest is looked at: SocketActivity
 // misses a peer that floods and does not read.
 constexpr int64_t kRestLooks = 4;
+// Peers that stay connected stay known.
+constexpr int64_t kStayKnownNs = 60 * kNanosPerSecond;
 constexpr char kEndedHelp[] = "Connections ended by the guard, by why.";
 
 absl::Status Failed(absl::string_view what) {
@@ -440,7 +442,13 @@ void ConnectionGuard::OnCall(const grpc::ServerContextBase& context) {
   EndFor(*connection, excess);
 }
 
-bool ConnectionGuard::MayCallLocked(const std::string& certificate, int64_t now_ns) {
+std::string ConnectionGuard::AccountLocked(const Source& source, const std::string& certificate,
+                                           int64_t now_ns) const {
+  if (!admission_.AtHome(source.address, certificate, now_ns)) return certificate;
+  return absl::StrCat(certificate, " at ", source.address);
+}
+
+bool ConnectionGuard::MayCallLocked(const std::string& account, int64_t now_ns) {
   if (agent_calls_.size() >= kAgentCallsMax) {
     const double full_s = options_.agent_calls_burst / options_.agent_calls_per_second;
     absl::erase_if(agent_calls_, [&](const auto& each) {
@@ -448,7 +456,7 @@ bool ConnectionGuard::MayCallLocked(const std::string& certificate, int64_t now_
     });
   }
   const auto [it, fresh] =
-      agent_calls_.try_emplace(certificate, AgentCalls{options_.agent_calls_burst, now_ns});
+      agent_calls_.try_emplace(account, AgentCalls{options_.agent_calls_burst, now_ns});
   AgentCalls& calls = it->second;
   const double seconds = static_cast<double>(now_ns - calls.counted_ns) / kNanosPerSecond;
   calls.counted_ns = now_ns;
@@ -464,8 +472,10 @@ void ConnectionGuard::OnUndecodable(Connection& from, const std::string& certifi
   bool may = false;
   {
     MutexLock lock(&mu_);
-    may = !banned_.contains(certificate) &&
-          MayCallLocked(absl::StrCat(certificate, kUndecodable), now_ns);
+    may =
+        BannedLocked(certificate, from.source().address, now_ns) == 0 &&
+        MayCallLocked(absl::StrCat(AccountLocked(from.source(), certificate, now_ns), kUndecodable),
+                      now_ns);
   }
   if (!may) EndFor(from, Excess::kRefused);
 }
@@ -480,21 +490,20 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
     const auto it = connections_.find(name);
     if (it == connections_.end()) return absl::OkStatus();
     connection = it->second;
+    admission_.Identified(connection->source(), certificate, now_ns);
+    const std::string account = AccountLocked(connection->source(), certificate, now_ns);
     if (connection->certificate().empty()) {
-      int& count = certificates_[certificate];
+      int& count = accounts_[account];
       if (count >= (agent ? options_.per_agent : options_.per_operator)) {
         return absl::ResourceExhaustedError(
             absl::StrCat("this certificate has ", count, " connections already; close some: each ",
                          agent ? "stream" : "`watch`", " holds one"));
       }
       ++count;
-      connection->Identify(certificate, agent);
+      connection->Identify(certificate, account, agent);
       waiting_.GiveBack();
     }
-    if (!agent || MayCallLocked(certificate, now_ns)) {
-      admission_.Identified(connection->source(), certificate, now_ns);
-      return absl::OkStatus();
-    }
+    if (!agent || MayCallLocked(account, now_ns)) return absl::OkStatus();
   }
   // At once: hundreds may follow before the next look.
   EndFor(*connection, Excess::kCalls);
@@ -504,23 +513,34 @@ absl::Status ConnectionGuard::OnIdentified(absl::string_view peer, const std::st
 void ConnectionGuard::ForgetLocked(const Connection& connection) {
   activity_.Remove(connection.socket_.get());
   admission_.Left(connection.source());
-  const auto it = certificates_.find(connection.certificate());
-  if (it != certificates_.end() && --it->second == 0) certificates_.erase(it);
+  const auto it = accounts_.find(connection.account());
+  if (it != accounts_.end() && --it->second == 0) accounts_.erase(it);
 }
 
-absl::Duration ConnectionGuard::Banned(const std::string& certificate) {
+int64_t ConnectionGuard::BannedLocked(const std::string& certificate, const std::string& address,
+                                      int64_t now_ns) const {
+  const auto it = banned_.find(certificate);
+  if (it == banned_.end() || it->second.until_ns <= now_ns) return 0;
+  const auto& homes = it->second.homes;
+  const bool there = std::find(homes.begin(), homes.end(), address) != homes.end();
+  if (!there && admission_.AtHome(address, certificate, now_ns)) return 0;
+  return it->second.until_ns - now_ns;
+}
+
+absl::Duration ConnectionGuard::Banned(const std::string& certificate, const std::string& address) {
   const int64_t now_ns = clock_->Now().boottime_ns;
   MutexLock lock(&mu_);
-  const auto it = banned_.find(certificate);
-  if (it == banned_.end() || it->second <= now_ns) return absl::ZeroDuration();
-  return absl::Nanoseconds(it->second - now_ns);
+  return absl::Nanoseconds(BannedLocked(certificate, address, now_ns));
 }
 
 int64_t ConnectionGuard::BanLocked(const Connection& connection, int64_t now_ns) {
   const int64_t banned_ns = admission_.Ban(connection.source(), now_ns);
   const std::string certificate = connection.shown();
   if (!certificate.empty() && (banned_.size() < kBannedMax || banned_.contains(certificate))) {
-    banned_[certificate] = now_ns + banned_ns;
+    Ban& ban = banned_[certificate];
+    ban.until_ns = std::max(ban.until_ns, now_ns + banned_ns);
+    const std::string& address = connection.source().address;
+    if (admission_.AtHome(address, certificate, now_ns)) ban.homes.push_back(address);
   }
   return banned_ns;
 }
@@ -571,10 +591,17 @@ void ConnectionGuard::CheckConnections() {
     live.reserve(connections_.size());
     for (const auto& [peer, connection] : connections_) live.push_back(connection);
     made_room_ = 0;
+    if (now_ns - stayed_ns_ >= kStayKnownNs) {
+      stayed_ns_ = now_ns;
+      for (const auto& connection : live) {
+        const std::string certificate = connection->certificate();
+        if (!certificate.empty()) admission_.Identified(connection->source(), certificate, now_ns);
+      }
+    }
     trim = trim_at_ns_ != 0 && now_ns >= trim_at_ns_;
     if (trim) trim_at_ns_ = 0;
     for (auto it = banned_.begin(); it != banned_.end();) {
-      it = it->second <= now_ns ? banned_.erase(it) : std::next(it);
+      it = it->second.until_ns <= now_ns ? banned_.erase(it) : std::next(it);
     }
   }
   const absl::flat_hash_set<int> active = activity_.Look();

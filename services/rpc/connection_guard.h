@@ -15,7 +15,9 @@
 // socket, and closes it when the connection is over.
 //
 // A ban is of the certificate, which CallGate asks for (Banned), and of the address; of neither if
-// ours connect from there and the peer had not named itself.
+// ours connect from there and the peer had not named itself. Who has a copy of a certificate's key
+// must not shut its owner out: each address at which the certificate is at home (Admission::AtHome)
+// has limits of its own, and a ban for what it did elsewhere does not hold there.
 #ifndef RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 #define RIPS_SERVICES_RPC_CONNECTION_GUARD_H_
 
@@ -70,10 +72,11 @@ class ConnectionGuard {
     BudgetLimits budget;
     // Of addresses that are not known.
     HandshakePace handshakes;
-    // Connections of one certificate. An agent has one, and one that is not over yet.
+    // Connections of one certificate at each address where it is at home, and at all others. An
+    // agent has one, and one that is not over yet.
     int per_operator = 16;
     int per_agent = 4;
-    // Calls of one agent's certificate, on all its connections: each begins a stream.
+    // Calls of one agent's certificate, as above, on all connections: each begins a stream.
     double agent_calls_burst = 40;
     double agent_calls_per_second = 2;
     // Between two looks at the connections, of which those at rest are looked at every fourth time.
@@ -115,8 +118,9 @@ class ConnectionGuard {
   // A request could not be decoded, or was reset before it came: more of those than an agent may
   // make calls end the connection and ban the certificate.
   void OnUndecodable(Connection& from, const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
-  // How long the certificate is banned still; 0 = it is not.
-  absl::Duration Banned(const std::string& certificate) ABSL_LOCKS_EXCLUDED(mu_);
+  // How long the certificate is banned still at this address (Source::address); 0 = it is not.
+  absl::Duration Banned(const std::string& certificate, const std::string& address)
+      ABSL_LOCKS_EXCLUDED(mu_);
 
  private:
   // Taken, and not handed to gRPC.
@@ -127,6 +131,13 @@ class ConnectionGuard {
   struct AgentCalls {
     double tokens = 0;
     int64_t counted_ns = 0;
+  };
+  // Of a certificate.
+  struct Ban {
+    // CLOCK_BOOTTIME.
+    int64_t until_ns = 0;
+    // Its homes for which it holds, too: what it is for was done there.
+    std::vector<std::string> homes;
   };
 
   ConnectionGuard(Options options, const Clock* clock, Metrics* metrics);
@@ -154,8 +165,12 @@ class ConnectionGuard {
   void LogUnknownPeer(const Connection& connection);
   // A connection of this address came to nothing.
   void Wasted(const Source& source, int64_t now_ns) ABSL_LOCKS_EXCLUDED(mu_);
-  bool MayCallLocked(const std::string& certificate, int64_t now_ns)
-      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  // What the limits of a certificate are counted by: itself and its home, if it is at one.
+  std::string AccountLocked(const Source& source, const std::string& certificate,
+                            int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  int64_t BannedLocked(const std::string& certificate, const std::string& address,
+                       int64_t now_ns) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
+  bool MayCallLocked(const std::string& account, int64_t now_ns) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mu_);
 
   const Options options_;
   const Clock* clock_;
@@ -179,16 +194,18 @@ class ConnectionGuard {
   // By peer.
   absl::flat_hash_map<std::string, std::shared_ptr<Connection>> connections_ ABSL_GUARDED_BY(mu_);
   HandshakeQueue<Waiting> waiting_ ABSL_GUARDED_BY(mu_);
-  // Connections that were identified, by certificate.
-  absl::flat_hash_map<std::string, int> certificates_ ABSL_GUARDED_BY(mu_);
+  // Connections that were identified, by account.
+  absl::flat_hash_map<std::string, int> accounts_ ABSL_GUARDED_BY(mu_);
   // Connections ended since the last look to make room for others.
   int made_room_ ABSL_GUARDED_BY(mu_) = 0;
-  // By certificate.
+  // By account.
   absl::flat_hash_map<std::string, AgentCalls> agent_calls_ ABSL_GUARDED_BY(mu_);
   // Peers that are Probe.
   absl::flat_hash_set<std::string> probes_ ABSL_GUARDED_BY(mu_);
-  // Until when, CLOCK_BOOTTIME.
-  std::map<std::string, int64_t> banned_ ABSL_GUARDED_BY(mu_);
+  // By certificate.
+  std::map<std::string, Ban> banned_ ABSL_GUARDED_BY(mu_);
+  // When those that were connected were last noted as known.
+  int64_t stayed_ns_ ABSL_GUARDED_BY(mu_) = 0;
   // Memory that ended connections held is given back then; 0 = nothing to give.
   int64_t trim_at_ns_ ABSL_GUARDED_BY(mu_) = 0;
   std::atomic<bool> stopped_ = false;

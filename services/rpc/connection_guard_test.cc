@@ -373,10 +373,42 @@ TEST_F(ConnectionGuardTest, ACertificateIsBannedWithItsConnection) {
   const std::string peer = FindPeer();
   ASSERT_FALSE(peer.empty());
   EXPECT_THAT(guard_->OnIdentified(peer, kSensor, /*agent=*/true), IsOk());
-  EXPECT_EQ(guard_->Banned(kSensor), absl::ZeroDuration());
+  EXPECT_EQ(guard_->Banned(kSensor, "127.0.0.1"), absl::ZeroDuration());
   for (int i = 0; i < 3; ++i) Call(channel, "/no.such.Service/None");
-  EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
-  EXPECT_EQ(guard_->Banned("spiffe://td/robot/r2/sensor/base serial 10"), absl::ZeroDuration());
+  EXPECT_GT(guard_->Banned(kSensor, "127.0.0.1"), absl::Seconds(1));
+  EXPECT_EQ(guard_->Banned("spiffe://td/robot/r2/sensor/base serial 10", "127.0.0.1"),
+            absl::ZeroDuration());
+}
+
+TEST_F(ConnectionGuardTest, WhatIsDoneWithACopiedKeyElsewhereShutsItsOwnerNotOut) {
+  Start({.per_agent = 1, .agent_calls_burst = 3, .agent_calls_per_second = 0.01}, "[::]:0");
+  const auto connect = [this](const char* host) {
+    grpc::ChannelArguments arguments;
+    arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+    auto channel = grpc::CreateCustomChannel(absl::StrCat(host, ":", guard_->port()),
+                                             grpc::InsecureChannelCredentials(), arguments);
+    EXPECT_EQ(Call(channel, "/no.such.Service/None").error_code(), grpc::StatusCode::UNIMPLEMENTED);
+    return channel;
+  };
+  const auto agent = connect("127.0.0.1");
+  const std::string owner = FindPeer();
+  EXPECT_THAT(guard_->OnIdentified(owner, kSensor, /*agent=*/true), IsOk());
+  const auto copy = connect("[::1]");
+  std::string thief;
+  for (int port = 1; port < 65'536 && thief.empty(); ++port) {
+    const std::string name = absl::StrCat("ipv6:[::1]:", port);
+    if (guard_->Find(name) != nullptr) thief = name;
+  }
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_THAT(guard_->OnIdentified(thief, kSensor, /*agent=*/true), IsOk()) << i;
+  }
+  EXPECT_THAT(guard_->OnIdentified(thief, kSensor, /*agent=*/true),
+              StatusIs(absl::StatusCode::kResourceExhausted, HasSubstr("too many streams")));
+  ASSERT_TRUE(reports_.Pop(kPatience).has_value());
+  EXPECT_GT(guard_->Banned(kSensor, "::/64"), absl::Seconds(1));
+  EXPECT_GT(guard_->Banned(kSensor, "10.0.0.66"), absl::Seconds(1)) << "where it is not at home";
+  EXPECT_EQ(guard_->Banned(kSensor, "127.0.0.1"), absl::ZeroDuration());
+  EXPECT_THAT(guard_->OnIdentified(owner, kSensor, /*agent=*/true), IsOk());
 }
 
 TEST_F(ConnectionGuardTest, AMessageThatAHandlerRefusesEndsTheConnectionAndBansItsCertificate) {
@@ -390,7 +422,7 @@ TEST_F(ConnectionGuardTest, AMessageThatAHandlerRefusesEndsTheConnectionAndBansI
   ASSERT_TRUE(report.has_value());
   EXPECT_EQ(report->excess, Excess::kRefused);
   EXPECT_EQ(report->certificate, kSensor);
-  EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
+  EXPECT_GT(guard_->Banned(kSensor, "127.0.0.1"), absl::Seconds(1));
 }
 
 TEST_F(ConnectionGuardTest, AnAgentsCallsAreCountedOnAllItsConnections) {
@@ -406,7 +438,7 @@ TEST_F(ConnectionGuardTest, AnAgentsCallsAreCountedOnAllItsConnections) {
   const auto report = reports_.Pop(kPatience);
   ASSERT_TRUE(report.has_value());
   EXPECT_EQ(report->excess, Excess::kCalls);
-  EXPECT_GT(guard_->Banned(kSensor), absl::Seconds(1));
+  EXPECT_GT(guard_->Banned(kSensor, "127.0.0.1"), absl::Seconds(1));
 }
 
 TEST_F(ConnectionGuardTest, RefusesACertificateThatHasItsConnectionsAlready) {
