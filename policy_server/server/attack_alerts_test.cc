@@ -110,6 +110,7 @@ TEST_F(AttackAlertsTest, TheRobotIsToldOfItsAgentsKeyOnceInFiveSeconds) {
   End(kMallory);
   Refuse("mallory", "throttled");
   EXPECT_THAT(misused_, SizeIs(4)) << "no agent's";
+  EXPECT_THAT(Told(), SizeIs(2)) << "as of any certificate";
 }
 
 TEST_F(AttackAlertsTest, AConnectionThatOnlyKeepsSilentIsNoAttack) {
