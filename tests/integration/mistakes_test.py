@@ -74,8 +74,8 @@ def wrong_certificate(fleet):
          "not valid under `ca`")
     both = (files_of(fleet) / "ca.pem").read_text() + (foreign_files(fleet) / "ca.pem").read_text()
     (files_of(fleet) / "ca.pem").write_text(both)
-    says(sensor, f"127.0.0.1:{fleet.port}` ended the handshake",
-         f"the issuer of `{files_of(fleet)}/cert.pem`", "its log says why")
+    says(sensor, f"127.0.0.1:{fleet.port}` ended the connection",
+         f"the issuer of `{files_of(fleet)}/cert.pem`", "its log says which")
     says(fleet.server, "connection ended before its peer was known", "not issued under our `tls.ca`")
 
 
