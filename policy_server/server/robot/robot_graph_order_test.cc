@@ -105,6 +105,25 @@ TEST_F(GraphOrderTest, WhatWaitedTooLongIsJudgedAsUnattributedWithTheReason) {
   }
 }
 
+TEST_F(GraphOrderTest, WhatOutlivedItsGraphIsJudgedByTheGraphOfNowAndSaysSo) {
+  Start();
+  ArmWithoutNavigator();
+  Observation spooled = Drive(2, 5);
+  spooled.boottime_ns = Boottime();
+  robot_->OnBatch("base", sensor_.get(),
+                  std::make_shared<const Batch>(Batch{.incarnation = "fedcba9876543210",
+                                                      .lane = Lane::kMessages,
+                                                      .first_sequence = 1,
+                                                      .observations = {spooled},
+                                                      .bytes = 100}));
+  Drain();
+  Pass(100);
+  EXPECT_EQ(Level(), "COMPROMISED");
+  ASSERT_EQ(audience_.Count("rogue"), 1);
+  EXPECT_THAT(audience_.alerts.back().event,
+              HasSubstr("taken before both the sensor and the server were restarted"));
+}
+
 TEST_F(GraphOrderTest, OnlyWhatIsBehindAWaitingMessageWaitsWithIt) {
   Start(kSenderRules);
   Arm();

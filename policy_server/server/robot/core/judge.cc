@@ -163,7 +163,7 @@ void Judge::JudgeMessage(SensorHost& host, const Piece& piece, size_t index, eng
   // one, which not all recorders are given.
   const Source source = {.message = &message,
                          .batch = concerns ? std::exchange(keeps, nullptr) : keeps,
-                         .remark = messages_.Unattributed(message, choice),
+                         .remark = messages_.Remark(message, choice),
                          .muted = !concerns};
   engine::CurrentGraph& graph = parts_.state.graph;
   if (choice.version->revision == graph.revision()) return parts_.decider.Run(event, source);

@@ -58,7 +58,12 @@ GraphHistory::Choice GraphHistory::Choose(const std::string& incarnation, bool l
     const Choice choice = against(held.graph);
     if (choice.writer != nullptr || writer.none()) return choice;
   }
-  if (last == nullptr) return live ? Choice{.wait = true, .version = &newest} : against(newest);
+  if (last == nullptr) {
+    if (live) return {.wait = true, .version = &newest};
+    Choice choice = against(newest);
+    choice.outlived = choice.writer == nullptr && !writer.none();
+    return choice;
+  }
   if (number < oldest->number) return against(oldest->graph);
   if (!live) return against(last->graph);
   if (last->number >= number && newest.graph->truncated()) return against(newest);

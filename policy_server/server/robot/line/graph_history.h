@@ -57,6 +57,8 @@ class GraphHistory {
     const ros2::Endpoint* writer = nullptr;
     // Given up before: no node is known of it.
     bool unattributed = false;
+    // No graph of its time is held, and the newest one, which judges it, does not show its writer.
+    bool outlived = false;
   };
 
   // `graph` is in force from now on: version `number` of `incarnation`, counting up.

@@ -167,6 +167,15 @@ TEST_F(GraphHistoryTest, MessagesOfAFormerIncarnationAreJudgedAgainstItsGraph) {
   EXPECT_FALSE(Choose(9, 1, /*live=*/false).wait);
 }
 
+TEST_F(GraphHistoryTest, AMessageThatOutlivedItsGraphIsMarkedUnlessItsWriterIsStillThere) {
+  Add(1, {1});
+  EXPECT_TRUE(Choose(7, 2, /*live=*/false).outlived);
+  EXPECT_FALSE(Choose(7, 1, /*live=*/false).outlived) << "the same process as then";
+  EXPECT_FALSE(Choose(1, 1).outlived);
+  Add(7, {1}, /*pending=*/false, kFormer);
+  EXPECT_FALSE(Choose(7, 2, /*live=*/false).outlived) << "its graph is held";
+}
+
 TEST_F(GraphHistoryTest, ANewIncarnationWaitsForItsOwnGraph) {
   Add(7, {1}, /*pending=*/false, kFormer);
   EXPECT_TRUE(Choose(1, 1).wait) << "the graph held is of another process";

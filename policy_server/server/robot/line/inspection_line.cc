@@ -29,8 +29,13 @@ engine::MessageEvent InspectionLine::EventOf(const MessageSeen& message,
           .memo = message.memo};
 }
 
-std::string InspectionLine::Unattributed(const MessageSeen& message,
-                                         const GraphHistory::Choice& choice) const {
+std::string InspectionLine::Remark(const MessageSeen& message,
+                                   const GraphHistory::Choice& choice) const {
+  if (choice.outlived) {
+    return " (it was taken before both the sensor and the server were restarted: who was there "
+           "then "
+           "is not known, so it was judged by who is there now)";
+  }
   if (!choice.wait && !choice.unattributed) return "";
   return absl::StrCat(" (no node is known: the graph did not show its writer within ",
                       context_.timing.graph_wait_ns / kNanosPerMilli, " ms; version ",

@@ -52,8 +52,8 @@ class InspectionLine {
   // The event of a message that is judged against the graph that was chosen for it.
   static engine::MessageEvent EventOf(const MessageSeen& message,
                                       const GraphHistory::Choice& choice);
-  // Why no node is known of a message that was not given a graph in time; empty: one is known.
-  std::string Unattributed(const MessageSeen& message, const GraphHistory::Choice& choice) const;
+  // What to know of a message that was not given the graph of its time; empty: it was.
+  std::string Remark(const MessageSeen& message, const GraphHistory::Choice& choice) const;
 
  private:
   struct Entry {
