@@ -105,9 +105,9 @@ HeadAlert AlertOf(const HeadSource& source, const model::AuditHead& head, HeadVe
   using engine::Severity;
   const std::string who = absl::StrCat("the actuator on ", source.host, " was shown record ",
                                        head.sequence, " of the audit log");
-  const std::string proof =
-      absl::StrCat("`ripsctl audit verify --head ",
-                   FormatHead({.sequence = head.sequence, .hash = head.hash}), "` checks it");
+  const std::string proof = absl::StrCat("`ripsctl audit verify DIR --head ",
+                                         FormatHead({.sequence = head.sequence, .hash = head.hash}),
+                                         "`, with a copy of the log as DIR, checks it");
   switch (verdict) {
     case HeadVerdict::kHeld:
       return {};

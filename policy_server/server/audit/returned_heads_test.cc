@@ -235,7 +235,7 @@ TEST(HeadAlertTest, SaysWhatIsProvenAndHowToCheckIt) {
   EXPECT_EQ(contradicted.severity, engine::Severity::kCritical);
   EXPECT_THAT(contradicted.text, AllOf(HasSubstr("the actuator on base was shown record 812"),
                                        HasSubstr("put back to an older state, or rewritten"),
-                                       HasSubstr("ripsctl audit verify --head 812:abab")));
+                                       HasSubstr("ripsctl audit verify DIR --head 812:abab")));
   EXPECT_EQ(AlertOf(source, head, HeadVerdict::kUnknownSegment).severity, engine::Severity::kHigh);
   EXPECT_EQ(AlertOf(source, head, HeadVerdict::kForged).severity, engine::Severity::kHigh);
   EXPECT_THAT(AlertOf(source, head, HeadVerdict::kForged).text,
