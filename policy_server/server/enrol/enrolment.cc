@@ -212,7 +212,7 @@ void Enrolment::Report(const rpc::PeerIdentity& identity, const store::IssuedRec
   const std::string who = absl::StrCat("the ", rpc::RoleName(identity.role), " of ", identity.robot,
                                        " on ", identity.host);
   const std::string still_good = absl::StrCat(
-      others, " other certificates of it are still good; `ripsctl enrol list ", identity.robot,
+      others, " other certificates of it have not expired; `ripsctl enrol list ", identity.robot,
       "` shows them, and if a key of them is not on the robot, "
       "`ripsctl agent ban ",
       issued.uri, "`");
