@@ -14,6 +14,7 @@ using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 using ::testing::Not;
 using ::testing::Pair;
 
@@ -264,6 +265,27 @@ TEST(ConfigTest, ReadsFirewallSteps) {
   EXPECT_EQ(std::get<FirewallStep>(level.leave[0].what),
             FirewallStep{.kind = FirewallStep::Kind::kRelease});
   EXPECT_THAT(FirewallFiles(parsed->config.levels), ElementsAre("/etc/rips/alert.nft"));
+}
+
+TEST(ConfigTest, AFirewallThatOutlivesItsLevelIsWarnedOf) {
+  constexpr absl::string_view kFile = "{firewall: {file: /etc/rips/alert.nft}}";
+  const auto warnings = [](const std::string& text) {
+    const auto parsed = ParseConfig("a.yaml", text);
+    EXPECT_THAT(parsed, IsOk());
+    return FirewallWarnings(parsed->config.levels);
+  };
+  const std::string alert = Edited(kProgramStep, kFile);
+  EXPECT_THAT(warnings(alert),
+              ElementsAre("what level `ALERT` puts into the firewall stays in force at `DEFAULT` "
+                          "until its time (`for`) is over; write `{firewall: {release: all}}` in "
+                          "the `enter` of `DEFAULT`"));
+  EXPECT_THAT(warnings(absl::StrReplaceAll(
+                  alert, {{"leave: []\n    on", "leave: [{firewall: {release: all}}]\n    on"}})),
+              IsEmpty());
+  ParsedConfig parsed = *ParseConfig("a.yaml", alert);
+  parsed.config.levels.front().enter.push_back({.what = FirewallStep{}});
+  EXPECT_THAT(FirewallWarnings(parsed.config.levels), IsEmpty());
+  EXPECT_THAT(warnings(std::string(kConfig)), IsEmpty());
 }
 
 TEST(ConfigTest, RefusesFirewallStepsThatCannotBe) {

@@ -203,6 +203,9 @@ std::vector<std::string> Warnings(const LoadedConfig& loaded) {
   for (std::string& warning : MonotonyWarnings(loaded.config, loaded.smh)) {
     warnings.push_back(std::move(warning));
   }
+  for (std::string& warning : FirewallWarnings(loaded.config.levels)) {
+    warnings.push_back(std::move(warning));
+  }
   return warnings;
 }
 

@@ -128,6 +128,29 @@ bool HasFirewallSteps(const std::vector<LevelSpec>& levels) {
   return has;
 }
 
+std::vector<std::string> FirewallWarnings(const std::vector<LevelSpec>& levels) {
+  const auto has = [](const std::vector<Step>& steps, bool release) {
+    return std::any_of(steps.begin(), steps.end(), [release](const Step& step) {
+      const auto* firewall = std::get_if<FirewallStep>(&step.what);
+      return firewall != nullptr && (firewall->kind == FirewallStep::Kind::kRelease) == release;
+    });
+  };
+  std::vector<std::string> warnings;
+  if (levels.empty() || has(levels.front().enter, /*release=*/true)) return warnings;
+  const std::string& lowest = levels.front().name;
+  for (const LevelSpec& level : levels) {
+    if (&level == &levels.front() || !has(level.enter, /*release=*/false) ||
+        has(level.leave, /*release=*/true)) {
+      continue;
+    }
+    warnings.push_back(absl::StrCat(
+        "what level `", level.name, "` puts into the firewall stays in force at `", lowest,
+        "` until its time (`for`) is over; write `{firewall: {release: all}}` in the `enter` of `",
+        lowest, "`"));
+  }
+  return warnings;
+}
+
 std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels) {
   std::set<std::string> files;
   ForEachStep(levels, [&](const Step& step) {

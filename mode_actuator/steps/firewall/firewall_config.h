@@ -42,6 +42,9 @@ void CheckFirewallSteps(const ConfigSection& level, const std::string& key,
                         const std::vector<Step>& steps);
 
 bool HasFirewallSteps(const std::vector<LevelSpec>& levels);
+// A line for each level whose firewall outlives it at the lowest one: neither its `leave` nor the
+// lowest level's `enter` releases it.
+std::vector<std::string> FirewallWarnings(const std::vector<LevelSpec>& levels);
 // The files of all steps, each once.
 std::vector<std::string> FirewallFiles(const std::vector<LevelSpec>& levels);
 // Reads them all: what is wrong with the first that is wrong (ReadFragment), after the line of the
