@@ -5,6 +5,7 @@
 
 import fnmatch
 import functools
+import os
 import pathlib
 import re
 import subprocess
@@ -91,8 +92,12 @@ def tracked():
                 if name and (ROOT / name).is_file()]
     except (OSError, subprocess.CalledProcessError):
         pass  # no git, or not a checkout: whatever is there
-    return [str(path.relative_to(ROOT)) for path in ROOT.rglob("*")
-            if path.is_file() and not str(path.relative_to(ROOT)).startswith(("build/", ".git/"))]
+    files = []
+    for folder, below, names in os.walk(ROOT):
+        if folder == str(ROOT):
+            below[:] = [name for name in below if name not in ("build", ".git")]
+        files += [str((pathlib.Path(folder) / name).relative_to(ROOT)) for name in names]
+    return files
 
 
 class Targets:
