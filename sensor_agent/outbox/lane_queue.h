@@ -75,13 +75,15 @@ struct LaneQueue {
     return absl::OkStatus();
   }
 
-  // See Outbox::DrainMessages.
-  std::vector<T> Drain(const BatchPolicy& policy) {
+  // See Outbox::DrainMessages. `together(first, next)`: both may stand in one batch.
+  template <typename Together>
+  std::vector<T> Drain(const BatchPolicy& policy, const Together& together) {
     RIPS_CHECK(sent == 0, "only after Rewind");
     std::vector<T> drained;
     size_t taken = 0;
     while (!entries.empty() && drained.size() < policy.observations &&
-           (drained.empty() || taken <= policy.bytes)) {
+           (drained.empty() ||
+            (taken <= policy.bytes && together(drained.front(), entries.front())))) {
       taken += CostOf(entries.front());
       drained.push_back(std::move(entries.front()));
       entries.pop_front();

@@ -1,6 +1,7 @@
 #include "sensor_agent/outbox/outbox.h"
 
 #include <algorithm>
+#include <limits>
 #include <utility>
 #include <variant>
 
@@ -15,6 +16,11 @@ namespace {
 constexpr size_t kEntryOverheadBytes = 32;
 // The numbers of an item and its tags.
 constexpr size_t kItemOverheadBytes = 64;
+
+// Of the graph; `messages` are all that are held.
+uint64_t OldestVersion(const std::deque<MessageSeen>& messages) {
+  return messages.empty() ? std::numeric_limits<uint64_t>::max() : messages.front().graph_version;
+}
 
 bool IsGraph(const ControlObservation& observation) {
   return std::holds_alternative<GraphChange>(observation.what);
@@ -90,6 +96,9 @@ void Outbox::PushControl(ControlObservation observation) {
 
 void Outbox::AddGraph(GraphChange change, int64_t now_ns) {
   if (!primary_) return;
+  trail_.Add(change);
+  // The batches that are set aside during an outage go on from the one before.
+  trail_.Advance(std::min(OldestVersion(messages_.entries), trail_.brought()));
   PushControl({.boottime_ns = now_ns, .what = std::move(change)});
   if (control_.bytes <= limits_.control_bytes) return;
   const size_t folded = DropUnnumberedGraph();
@@ -211,6 +220,12 @@ std::optional<int64_t> Outbox::OldestUnnumbered() const {
   return messages_.entries[messages_.numbered].boottime_ns;
 }
 
+std::vector<GraphChange> Outbox::GraphOf(const std::vector<MessageSeen>& messages,
+                                         GraphTrail::Brought& brought) {
+  if (messages.empty()) return {};
+  return trail_.Bring(messages.front().graph_version, brought);
+}
+
 std::vector<MessageSeen> Outbox::PopOldest(const BatchPolicy& policy, int64_t until_ns) {
   std::vector<MessageSeen> taken;
   size_t bytes = 0;
@@ -218,6 +233,7 @@ std::vector<MessageSeen> Outbox::PopOldest(const BatchPolicy& policy, int64_t un
   auto end = begin;
   for (; end != messages_.entries.end() && taken.size() < policy.observations; ++end) {
     if (end->boottime_ns >= until_ns || (!taken.empty() && bytes > policy.bytes)) break;
+    if (!taken.empty() && end->graph_version > taken.front().graph_version) break;
     bytes += PayloadBytes(*end);
     messages_.bytes -= CostOf(*end);
     fresh_payload_bytes_ -= PayloadBytes(*end);
@@ -257,11 +273,14 @@ std::vector<ControlObservation> Outbox::PopOldestControl(const BatchPolicy& poli
 }
 
 std::vector<MessageSeen> Outbox::DrainMessages(const BatchPolicy& policy) {
-  return messages_.Drain(policy);
+  return messages_.Drain(policy, [](const MessageSeen& first, const MessageSeen& next) {
+    return next.graph_version <= first.graph_version;
+  });
 }
 
 std::vector<ControlObservation> Outbox::DrainControl(const BatchPolicy& policy) {
-  std::vector<ControlObservation> drained = control_.Drain(policy);
+  std::vector<ControlObservation> drained =
+      control_.Drain(policy, [](const auto&, const auto&) { return true; });
   for (const ControlObservation& each : drained) CountIdsAlert(each);
   return drained;
 }
@@ -299,7 +318,11 @@ void Outbox::ShedUnsentPayload(const Payload& payload) {
 // --- Acknowledging and resuming
 
 absl::Status Outbox::Acknowledge(Lane lane, uint64_t sequence) {
-  if (lane == Lane::kMessages) return messages_.Acknowledge(sequence, [](const auto&) {});
+  if (lane == Lane::kMessages) {
+    const absl::Status forgotten = messages_.Acknowledge(sequence, [](const auto&) {});
+    trail_.Advance(OldestVersion(messages_.entries));
+    return forgotten;
+  }
   return control_.Acknowledge(sequence, [this](const ControlObservation& each) {
     if (IsGraph(each)) graph_base_.Apply(std::get<GraphChange>(each.what));
     CountIdsAlert(each);
@@ -407,6 +430,7 @@ void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
   if (!primary_ || snapshot.empty()) return;
   std::vector<ControlObservation> parts;
   for (GraphChange& part : snapshot) {
+    trail_.Add(part);
     parts.push_back({.boottime_ns = now_ns, .what = std::move(part)});
     control_.bytes += CostOf(parts.back());
   }
@@ -424,6 +448,7 @@ void Outbox::SetPrimary(bool primary) {
     return;
   }
   DropUnnumberedGraph();
+  trail_.Clear();
   while (messages_.entries.size() > messages_.numbered) {
     messages_.bytes -= CostOf(messages_.entries.back());
     messages_.entries.pop_back();

@@ -17,6 +17,7 @@
 
 #include "absl/status/status.h"
 #include "sensor_agent/outbox/graph_base.h"
+#include "sensor_agent/outbox/graph_trail.h"
 #include "sensor_agent/outbox/lane_queue.h"
 #include "sensor_agent/outbox/merged_reports.h"
 #include "sensor_agent/outbox/observation.h"
@@ -82,14 +83,19 @@ class Outbox {
   // Reception time of the oldest message that has no number yet.
   std::optional<int64_t> OldestUnnumbered() const;
   // Removes and gives the oldest messages without number: as many as `policy` allows for a batch,
-  // none received at `until_ns` or later.
+  // none received at `until_ns` or later, none of a later version of the graph than the first.
   std::vector<MessageSeen> PopOldest(const BatchPolicy& policy, int64_t until_ns);
   // The same of control observations other than graph steps, which stay.
   std::vector<ControlObservation> PopOldestControl(const BatchPolicy& policy);
   // Removes and gives the oldest unsent ones, numbered or not: as many as `policy` allows for a
-  // batch. The next one has the next number.
+  // batch, no message of a later version of the graph than the first. The next one has the next
+  // number.
   std::vector<MessageSeen> DrainMessages(const BatchPolicy& policy);
   std::vector<ControlObservation> DrainControl(const BatchPolicy& policy);
+  // The graph that a batch of these messages, just removed, brings with it, in a stream of which
+  // `brought` tells.
+  std::vector<GraphChange> GraphOf(const std::vector<MessageSeen>& messages,
+                                   GraphTrail::Brought& brought);
   // Counts `message` as one whose payload was shed, and sheds it.
   void ShedPayload(MessageSeen& message);
   // The same for unsent messages received before `before_ns` with more than `bytes` of payload: the
@@ -165,6 +171,7 @@ class Outbox {
   LaneQueue<ControlObservation> control_;
   MergedReports merged_;
   GraphBase graph_base_;
+  GraphTrail trail_;
   bool messages_released_ = false;
   bool snapshot_wanted_ = false;
   bool primary_ = true;

@@ -425,6 +425,43 @@ TEST_F(OutboxTest, TheOldestWithoutNumberAreTakenAndTheRestGoesOn) {
   EXPECT_EQ(outbox_.message_bytes(), 2 * CostOf(MessageSeen{}));
 }
 
+TEST_F(OutboxTest, WhatIsTakenIsOfOneGraphAndBringsIt) {
+  const auto of_version = [&](uint64_t version) {
+    return MessageSeen{.boottime_ns = kMs, .source = source_, .graph_version = version};
+  };
+  AddGraph(0, 1);
+  for (const uint64_t version : {1, 1, 2, 1, 3}) outbox_.AddMessage(of_version(version));
+  AddGraph(1, 2);
+  AddGraph(2, 3);
+  outbox_.MarkSent(Lane::kControl, 3);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 3), IsOk()) << "the server has these graphs";
+
+  GraphTrail::Brought brought;
+  std::vector<MessageSeen> taken = outbox_.PopOldest({}, 100 * kMs);
+  EXPECT_THAT(taken, SizeIs(2));
+  std::vector<GraphChange> graph = outbox_.GraphOf(taken, brought);
+  ASSERT_THAT(graph, SizeIs(1));
+  EXPECT_TRUE(graph[0].whole());
+  EXPECT_EQ(graph[0].to_version, 1u);
+  taken = outbox_.PopOldest({}, 100 * kMs);
+  EXPECT_THAT(taken, SizeIs(2)) << "a version back does not end it";
+  graph = outbox_.GraphOf(taken, brought);
+  ASSERT_THAT(graph, SizeIs(1));
+  EXPECT_EQ(graph[0].from_version, 1u);
+
+  taken = outbox_.DrainMessages({});
+  EXPECT_THAT(taken, SizeIs(1));
+  EXPECT_EQ(outbox_.GraphOf(taken, brought).at(0).to_version, 3u);
+  EXPECT_THAT(outbox_.GraphOf({}, brought), IsEmpty());
+}
+
+TEST_F(OutboxTest, ASensorThatIsNotPrimaryBringsNoGraph) {
+  AddGraph(0, 1);
+  outbox_.SetPrimary(false);
+  GraphTrail::Brought brought;
+  EXPECT_THAT(outbox_.GraphOf({{.source = source_, .graph_version = 1}}, brought), IsEmpty());
+}
+
 TEST_F(OutboxTest, PayloadsEndABatchThatIsTaken) {
   for (uint32_t i = 1; i <= 3; ++i) AddPayload(i, 600);
   EXPECT_THAT(outbox_.PopOldest({.observations = 10, .bytes = 1'000}, 100 * kMs), SizeIs(2));

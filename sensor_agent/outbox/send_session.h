@@ -32,6 +32,8 @@ namespace rips::sensor {
 struct Kept {
   Outbox outbox;
   Backlog backlog;
+  // By the messages in it.
+  GraphTrail::Brought brought = {};
   BatchPolicy policy = {};
   // What waits longer to be sent is not live any more.
   int64_t live_ns = 0;

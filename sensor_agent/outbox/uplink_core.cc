@@ -322,12 +322,13 @@ void UplinkCore::SetAsideNext(int64_t now_ns, UplinkActions& actions) {
   const auto many_messages = [&] { return outbox.message_bytes() > limits.message_bytes / 4 * 3; };
   hurry_ |= set_aside_left_ == 0;  // there may be more
   if (set_aside_left_ == 0 || !kept_.backlog.HasRoom()) return;
-  const auto set_aside = [&](Lane lane, auto observations) {
+  const auto set_aside = [&](Lane lane, auto observations, std::vector<GraphChange> graph = {}) {
     --set_aside_left_;
     const StreamKey stream = kept_.backlog.Own(lane);
     actions.list.emplace_back(EncodeForBacklog{.stream = stream,
                                                .first_sequence = kept_.backlog.NextSequence(stream),
-                                               .observations = std::move(observations)});
+                                               .observations = std::move(observations),
+                                               .graph = std::move(graph)});
   };
   if (outbox.control_bytes() > limits.control_bytes / 4 * 3) {
     std::vector<ControlObservation> control = outbox.PopOldestControl(kAsidePolicy);
@@ -357,7 +358,8 @@ void UplinkCore::SetAsideNext(int64_t now_ns, UplinkActions& actions) {
   if (kept_.backlog.ShouldShedPayloads()) {
     for (MessageSeen& each : messages) outbox.ShedPayload(each);
   }
-  set_aside(Lane::kMessages, std::move(messages));
+  std::vector<GraphChange> graph = outbox.GraphOf(messages, kept_.brought);
+  set_aside(Lane::kMessages, std::move(messages), std::move(graph));
 }
 
 int64_t UplinkCore::NextWake(int64_t now_ns) const {
@@ -390,16 +392,22 @@ void UplinkCore::Stop(int64_t now_ns, UplinkActions& actions) {
   }
   outbox.FlushMerged(now_ns + outbox.limits().merge_ns);
   outbox.Rewind();
-  const auto save = [&](Lane lane, auto drain) {
+  const auto save = [&](Lane lane, const auto& drain) {
     while (outbox.unsent(lane) > 0) {
       EncodeForBacklog rest{.stream = {.incarnation = incarnation_, .lane = lane},
                             .first_sequence = outbox.NextSequence(lane)};
-      rest.observations = drain();
+      drain(rest);
       actions.list.emplace_back(std::move(rest));
     }
   };
-  save(Lane::kControl, [&] { return outbox.DrainControl(kAsidePolicy); });
-  save(Lane::kMessages, [&] { return outbox.DrainMessages(kAsidePolicy); });
+  save(Lane::kControl,
+       [&](EncodeForBacklog& rest) { rest.observations = outbox.DrainControl(kAsidePolicy); });
+  GraphTrail::Brought brought;
+  save(Lane::kMessages, [&](EncodeForBacklog& rest) {
+    std::vector<MessageSeen> messages = outbox.DrainMessages(kAsidePolicy);
+    rest.graph = outbox.GraphOf(messages, brought);
+    rest.observations = std::move(messages);
+  });
   AddJobs(kept_.backlog, now_ns, actions);
 }
 

@@ -180,6 +180,8 @@ struct EncodeForBacklog {
   StreamKey stream;
   uint64_t first_sequence = 1;
   std::variant<std::vector<MessageSeen>, std::vector<ControlObservation>> observations;
+  // Of messages: as GraphTrail::Bring gives it.
+  std::vector<GraphChange> graph = {};
 };
 // What the server needs to go on was said: batches flow.
 struct StreamResumed {};

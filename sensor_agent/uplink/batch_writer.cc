@@ -36,7 +36,8 @@ void AddSpoolLosses(uint32_t count, int64_t now_ns, ObservationBatch& batch) {
 Encoded EncodeAlone(const EncodeForBacklog& action) {
   return std::visit(
       [&](const auto& observations) {
-        const ObservationBatch batch = WireEncoder::EncodeAlone(observations);
+        ObservationBatch batch = WireEncoder::EncodeAlone(observations);
+        WireEncoder::AddGraph(action.graph, batch);
         return Encoded{.stream = action.stream,
                        .first_sequence = action.first_sequence,
                        .count = static_cast<uint32_t>(observations.size()),

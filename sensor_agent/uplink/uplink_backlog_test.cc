@@ -234,6 +234,45 @@ TEST_F(UplinkBacklogTest, ASensorThatIsStoppedLeavesEverythingToTheNext) {
   EXPECT_TRUE(WaitForValue("rips_sensor_spool_bytes", [](double v) { return v == 0; }));
 }
 
+TEST_F(UplinkBacklogTest, WhatIsSentLaterBringsTheGraphOfItsTime) {
+  Start();
+  ASSERT_TRUE(WaitForStreams(1));
+  StopServer();
+  const auto append = [&](uint64_t version) {
+    uplink_->Append({.messages = {{.boottime_ns = clock_.Now().boottime_ns,
+                                   .source = source_,
+                                   .graph_version = version}}});
+  };
+  append(version_);
+  ASSERT_TRUE(WaitForValue("rips_sensor_backlog_bytes", [](double v) { return v > 0; }));
+  const uint64_t then = version_;
+  uplink_->Append({.graph = {{.from_version = then, .to_version = ++version_, .settled = true}}});
+  append(version_);
+  const std::string former = uplink_->incarnation();
+  uplink_->Stop();
+
+  Start();
+  server_.Start();
+  ASSERT_TRUE(WaitForMessages(2));
+  const auto brought = [&](const std::string& incarnation) {
+    std::vector<std::string> steps;
+    for (const auto& batch : server_.batches) {
+      if (batch.lane() != MESSAGES || (batch.incarnation() == former) != (incarnation == former)) {
+        continue;
+      }
+      for (const auto& step : batch.graph()) {
+        steps.push_back(absl::StrCat(step.snapshot().graph_version(), "/",
+                                     step.delta().from_version(), "-", step.delta().to_version()));
+      }
+    }
+    return steps;
+  };
+  EXPECT_THAT(brought(former), testing::ElementsAre(absl::StrCat(then + 1, "/0-0")))
+      << "what was live when it stopped";
+  EXPECT_THAT(brought(""), testing::ElementsAre(absl::StrCat(then, "/0-0")))
+      << "what it had set aside";
+}
+
 TEST_F(UplinkBacklogTest, AnEndThatCannotBeReadIsAnnouncedNoMore) {
   options_.core.backlog.read_ahead_bytes = 1;
   Start();

@@ -95,6 +95,14 @@ ObservationBatch WireEncoder::EncodeAlone(const std::vector<Seen>& observations)
 template ObservationBatch WireEncoder::EncodeAlone(const std::vector<MessageSeen>&);
 template ObservationBatch WireEncoder::EncodeAlone(const std::vector<ControlObservation>&);
 
+void WireEncoder::AddGraph(const std::vector<GraphChange>& steps, ObservationBatch& batch) {
+  for (const GraphChange& step : steps) {
+    rips::v1::Observation* wire = batch.add_graph();
+    model_proto::Encode(step, *wire);
+    wire_limits::CutToLimits(*wire);
+  }
+}
+
 absl::Status WireEncoder::Rename(ObservationBatch& batch) {
   if (next_id_ + static_cast<size_t>(batch.interned_size()) > limits_.names + 1) {
     return absl::ResourceExhaustedError("this stream has no numbers left for new names");

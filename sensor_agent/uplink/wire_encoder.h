@@ -39,6 +39,8 @@ class WireEncoder {
   // backlog. Incarnation, lane and sequence are not set.
   template <typename Seen>
   static rips::v1::ObservationBatch EncodeAlone(const std::vector<Seen>& observations);
+  // What such a batch of messages brings of the graph of its time.
+  static void AddGraph(const std::vector<GraphChange>& steps, rips::v1::ObservationBatch& batch);
   // From names that stand in the batch alone to those of this stream; what is new to it is
   // introduced. Otherwise nothing has changed. ResourceExhausted: no numbers are left. DataLoss: an
   // id that nothing introduces.

@@ -1034,6 +1034,54 @@ def sensor_restarted_while_the_server_is_away(fleet):
     check(not list((fleet.dir / "sensor/spool").glob("*.seg")), "segments stay behind")
 
 
+DRIVER_RULES = """
+levels:
+  DEFAULT;
+  ALERT;
+  COMPROMISED;
+  HALT;
+rules Msg:
+  rogue: topicmatches("^/load") && !publishers("/load") ? alert("a rogue") => trigger(COMPROMISED);
+rules External:
+  unused: false ? trigger(ALERT), trigger(HALT);
+"""
+
+
+def nodes_that_ended_while_the_server_was_away(fleet):
+    """What a node sent is judged by the nodes of that time: it may have ended, and the sensor, too,
+    when the server is back. One that was a rogue then is accused."""
+    fleet.load_rules = DRIVER_RULES
+    arm_under_load(fleet)
+
+    def runs_while_the_server_is_away(*options, site=False):
+        fleet.server.kill(signal.SIGKILL)
+        load = fleet.start_publisher("--rate", 100, *options)
+        load.wait_for(lambda line: '"publishing"' in line, 20, "the publisher is read")
+        deadline = time.monotonic() + 20
+        while not backlogged(fleet):  # not live any more
+            check(time.monotonic() < deadline, "nothing is set aside")
+            time.sleep(0.2)
+        published(load)
+        if site:  # its last messages are live when the sensor stops
+            check(fleet.sensor.kill() == 0, "the sensor did not end in order")
+            fleet.sensor = fleet.start_agent("sensor")
+        time.sleep(1)
+        before = len(fleet.sensor.lines)
+        fleet.server = fleet.start_server()
+        fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams",
+                              start=0 if site else before)
+        wait_all_is_judged(fleet, 60)
+        return [alert["event"] for alert in fleet.alerts() if alert["text"] == "a rogue"]
+
+    for site in (False, True):
+        accused = runs_while_the_server_is_away(site=site)
+        check(not accused, f"a node that ended is accused (all restarted: {site}): {accused[:1]}")
+    check(fleet.level()["decided_level"] == "DEFAULT", "the level was raised")
+    accused = runs_while_the_server_is_away("--node", "/rogue", site=True)
+    check(accused and "/rogue" in accused[0], f"the rogue is not accused: {accused[:1]}")
+    check(fleet.level()["decided_level"] == "COMPROMISED", "the level was not raised")
+
+
 RESTORED_RULES = """
 levels:
   DEFAULT;
@@ -1263,7 +1311,8 @@ SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              metrics_follow_the_level_and_the_inventory,
              payloads_are_inspected_and_recorded, camera_guard_watches_a_real_camera,
              findings_are_told, server_killed_under_load,
-             sensor_restarted_while_the_server_is_away, store_restored_from_a_backup,
+             sensor_restarted_while_the_server_is_away,
+             nodes_that_ended_while_the_server_was_away, store_restored_from_a_backup,
              starts_and_stops, actuator_whose_term_is_far_ahead]
 
 

@@ -70,6 +70,22 @@ const char* CauseName(rips::v1::Loss::Cause cause) {
   }
 }
 
+absl::StatusOr<std::vector<model::GraphChange>> DecodeFormerGraph(
+    const rips::v1::ObservationBatch& batch) {
+  std::vector<model::GraphChange> steps;
+  for (const rips::v1::Observation& wire : batch.graph()) {
+    if (!wire.has_snapshot() && !wire.has_delta()) {
+      return absl::InvalidArgumentError("a batch brings what is no step of a graph");
+    }
+    RIPS_ASSIGN_OR_RETURN(model_proto::Nameless step, model_proto::Decode(wire));
+    steps.push_back(std::get<model::GraphChange>(std::move(step)));
+  }
+  if (!steps.empty() && batch.lane() != rips::v1::MESSAGES) {
+    return absl::InvalidArgumentError("a batch of the control lane brings a graph of its time");
+  }
+  return steps;
+}
+
 // What this server makes of untrusted text before it keeps it.
 absl::Status Sanitize(model::IdsAlert& alert) {
   alert.src = AddressOf(alert.src);
@@ -163,9 +179,11 @@ absl::StatusOr<pipeline::Batch> ObservationDecoder::Decode(
                                                      limits_.inline_payload_bytes));
   }
   RIPS_RETURN_IF_ERROR(TakeNames(batch));
+  RIPS_ASSIGN_OR_RETURN(std::vector<model::GraphChange> graph, DecodeFormerGraph(batch));
   pipeline::Batch decoded{.incarnation = batch.incarnation(),
                           .lane = lane,
                           .first_sequence = batch.first_sequence(),
+                          .graph = std::move(graph),
                           .bytes = batch.ByteSizeLong(),
                           .names = names_};
   decoded.observations.reserve(static_cast<size_t>(batch.observations_size()));

@@ -82,6 +82,41 @@ TEST(ObservationDecoderTest, AMessageWithoutAGraphVersionHasThatOfItsBatch) {
   EXPECT_EQ(version(1), 8u);
 }
 
+TEST(ObservationDecoderTest, MessagesMayBringStepsOfTheGraphAndNothingElse) {
+  rips::v1::ObservationBatch batch = MessageBatch();
+  auto* snapshot = batch.add_graph()->mutable_snapshot();
+  snapshot->set_graph_version(7);
+  snapshot->add_participants()->set_guid(kGuid);
+  auto* delta = batch.add_graph()->mutable_delta();
+  delta->set_from_version(7);
+  delta->set_to_version(8);
+  const auto decoded = ObservationDecoder().Decode(batch);
+  ASSERT_THAT(decoded, IsOk());
+  ASSERT_THAT(decoded->graph, SizeIs(2));
+  EXPECT_TRUE(decoded->graph[0].whole());
+  EXPECT_THAT(decoded->graph[0].delta.upsert_participants, SizeIs(1));
+  EXPECT_EQ(decoded->graph[1].from_version, 7u);
+  EXPECT_THAT(decoded->observations, SizeIs(1)) << "they are none of the sequence";
+
+  rips::v1::ObservationBatch control = Batch(rips::v1::CONTROL);
+  control.add_observations()->mutable_signal()->set_name("SIGUSR1");
+  *control.add_graph() = batch.graph(0);
+  EXPECT_THAT(ObservationDecoder().Decode(control),
+              StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("control lane")));
+  for (auto* step : {batch.mutable_graph(0), batch.mutable_graph(1)}) {
+    const rips::v1::Observation good = *step;
+    step->mutable_signal()->set_name("SIGUSR1");
+    EXPECT_THAT(ObservationDecoder().Decode(batch),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("no step of a graph")));
+    step->Clear();
+    EXPECT_THAT(ObservationDecoder().Decode(batch),
+                StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("no step of a graph")));
+    *step = good;
+  }
+  batch.mutable_graph(1)->mutable_delta()->set_to_version(7);
+  EXPECT_THAT(ObservationDecoder().Decode(batch), StatusIs(absl::StatusCode::kInvalidArgument));
+}
+
 TEST(ObservationDecoderTest, PayloadsComeAlongAndAreCounted) {
   rips::v1::ObservationBatch batch = MessageBatch();
   for (const size_t bytes : {size_t{0}, size_t{51}, size_t{52}}) {

@@ -38,7 +38,7 @@ void GraphHistory::Expire(int64_t now_ns, bool backlog) {
 
 GraphHistory::Choice GraphHistory::Choose(const std::string& incarnation, bool live,
                                           uint64_t number, const ros2::Guid& writer,
-                                          const Version& newest) const {
+                                          const Version& newest, const Version* brought) const {
   const auto against = [&](const Version& version) {
     return Choice{.version = &version, .writer = Shown(*version.graph, writer)};
   };
@@ -60,6 +60,7 @@ GraphHistory::Choice GraphHistory::Choose(const std::string& incarnation, bool l
   }
   if (last == nullptr) {
     if (live) return {.wait = true, .version = &newest};
+    if (brought != nullptr) return against(*brought);
     Choice choice = against(newest);
     choice.outlived = choice.writer == nullptr && !writer.none();
     return choice;

@@ -7,8 +7,8 @@
 // | the message                                         | is judged                            |
 // |-----------------------------------------------------|--------------------------------------|
 // | names no version                                    | at once, against the newest          |
-// | is of an earlier incarnation of the sensor, of      | at once, against the newest          |
-// | which no version is held                            |                                      |
+// | is of an earlier incarnation of the sensor, of      | at once, against the graph that came |
+// | which no version is held                            | with it, or else the newest          |
 // | has no known writer, and its version has come       | at once, against the oldest version  |
 // |                                                     | held that is not older               |
 // | has a writer that such a version shows (not as      | at once, against the oldest of them  |
@@ -57,7 +57,8 @@ class GraphHistory {
     const ros2::Endpoint* writer = nullptr;
     // Given up before: no node is known of it.
     bool unattributed = false;
-    // No graph of its time is held, and the newest one, which judges it, does not show its writer.
+    // No graph of its time is held or came with it, and the newest one, which judges it, does not
+    // show its writer.
     bool outlived = false;
   };
 
@@ -67,9 +68,10 @@ class GraphHistory {
   void Expire(int64_t now_ns, bool backlog);
 
   // Of a message of `incarnation` that names version `number`. `live`: the sensor's session is of
-  // this incarnation. `newest` is the graph in force; it need not be held here.
+  // this incarnation. `newest` is the graph in force; it need not be held here. `brought` came with
+  // the message; null = none did.
   Choice Choose(const std::string& incarnation, bool live, uint64_t number,
-                const ros2::Guid& writer, const Version& newest) const;
+                const ros2::Guid& writer, const Version& newest, const Version* brought) const;
   // Nothing shows this writer in time: its messages do not wait again until the graph changes.
   void GiveUp(const ros2::Guid& writer);
 

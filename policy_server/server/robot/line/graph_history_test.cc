@@ -42,8 +42,9 @@ class GraphHistoryTest : public ::testing::Test {
     newest_ = {std::make_shared<const ros2::RosGraph>(std::move(graph)), ++revision_};
     history_.Add(incarnation, number, newest_, now_ns_);
   }
-  GraphHistory::Choice Choose(uint64_t number, uint32_t writer, bool live = true) const {
-    return history_.Choose(live ? kLive : kFormer, live, number, Writer(writer), newest_);
+  GraphHistory::Choice Choose(uint64_t number, uint32_t writer, bool live = true,
+                              const GraphHistory::Version* brought = nullptr) const {
+    return history_.Choose(live ? kLive : kFormer, live, number, Writer(writer), newest_, brought);
   }
 
   int64_t now_ns_ = 1;
@@ -91,8 +92,8 @@ TEST_F(GraphHistoryTest, APendingWriterIsWaitedFor) {
 
 TEST_F(GraphHistoryTest, AMessageWithoutWriterWaitsForItsVersionOnly) {
   Add(1, {1});
-  EXPECT_FALSE(history_.Choose(kLive, true, 1, ros2::Guid(), newest_).wait);
-  EXPECT_TRUE(history_.Choose(kLive, true, 2, ros2::Guid(), newest_).wait);
+  EXPECT_FALSE(history_.Choose(kLive, true, 1, ros2::Guid(), newest_, nullptr).wait);
+  EXPECT_TRUE(history_.Choose(kLive, true, 2, ros2::Guid(), newest_, nullptr).wait);
 }
 
 TEST_F(GraphHistoryTest, AWriterThatWasGivenUpIsNotWaitedForUntilTheGraphChanges) {
@@ -174,6 +175,20 @@ TEST_F(GraphHistoryTest, AMessageThatOutlivedItsGraphIsMarkedUnlessItsWriterIsSt
   EXPECT_FALSE(Choose(1, 1).outlived);
   Add(7, {1}, /*pending=*/false, kFormer);
   EXPECT_FALSE(Choose(7, 2, /*live=*/false).outlived) << "its graph is held";
+}
+
+TEST_F(GraphHistoryTest, AMessageWhoseGraphIsNotHeldIsJudgedByTheOneThatCameWithIt) {
+  Add(9, {2}, /*pending=*/false, "another.........");
+  const GraphHistory::Version brought = newest_;
+  Add(1, {1});
+  const auto choice = Choose(7, 2, /*live=*/false, &brought);
+  EXPECT_EQ(choice.version->revision, brought.revision);
+  EXPECT_EQ(choice.writer->node, "/n2");
+  EXPECT_FALSE(Choose(7, 3, /*live=*/false, &brought).outlived) << "nobody, then as now";
+  EXPECT_TRUE(Choose(2, 2, /*live=*/true, &brought).wait) << "its own graph will come";
+  Add(7, {3}, /*pending=*/false, kFormer);
+  EXPECT_EQ(Choose(7, 3, /*live=*/false, &brought).version->revision, newest_.revision)
+      << "what is held is exact";
 }
 
 TEST_F(GraphHistoryTest, ANewIncarnationWaitsForItsOwnGraph) {

@@ -32,9 +32,8 @@ engine::MessageEvent InspectionLine::EventOf(const MessageSeen& message,
 std::string InspectionLine::Remark(const MessageSeen& message,
                                    const GraphHistory::Choice& choice) const {
   if (choice.outlived) {
-    return " (it was taken before both the sensor and the server were restarted: who was there "
-           "then "
-           "is not known, so it was judged by who is there now)";
+    return " (it came late, and who was there when it was taken is not known: it was judged by "
+           "who is there now)";
   }
   if (!choice.wait && !choice.unattributed) return "";
   return absl::StrCat(" (no node is known: the graph did not show its writer within ",
@@ -62,11 +61,16 @@ GraphHistory::Choice InspectionLine::Choose(const SensorHost& host, const Batch&
                                             const MessageSeen& message) const {
   const bool live = host.session && host.session->incarnation == batch.incarnation;
   return history_.Choose(batch.incarnation, live, message.graph_version, message.writer,
-                         state_.graph.version());
+                         state_.graph.version(),
+                         former_.Of(batch.incarnation, message.graph_version));
 }
 
 std::optional<Piece> InspectionLine::Next(const SensorHost& host) {
   Entry& first = batches_.front();
+  if (!std::exchange(first.has_graph, true)) {
+    const Batch& batch = *first.waiting.batch;
+    former_.Apply(batch.incarnation, batch.graph, state_.graph.get());
+  }
   const size_t from = first.waiting.judged;
   const size_t to = Ask(first, host);
   ready_ = to > from;

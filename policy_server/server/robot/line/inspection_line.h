@@ -14,6 +14,7 @@
 
 #include "policy_server/policy/engine/evaluator.h"
 #include "policy_server/server/robot/context/context.h"
+#include "policy_server/server/robot/line/former_graph.h"
 #include "policy_server/server/robot/line/graph_history.h"
 #include "policy_server/server/robot/line/waiting_batches.h"
 #include "policy_server/server/robot/sensors/losses.h"
@@ -60,6 +61,8 @@ class InspectionLine {
     WaitingBatch waiting;
     int64_t arrived_ns = 0;
     uint64_t ticket = 0;
+    // The graph that it brings is in use.
+    bool has_graph = false;
     // Under which it was asked.
     std::shared_ptr<const engine::CompiledPolicy> program;
     // As in Piece.
@@ -82,6 +85,7 @@ class InspectionLine {
   uint64_t last_ticket_ = 0;
   bool ready_ = false;
   GraphHistory history_;
+  FormerGraph former_;
 };
 
 }  // namespace rips::pipeline

@@ -63,6 +63,8 @@ struct Batch {
   // Of observations[0]; the rest follow without gap.
   uint64_t first_sequence = 0;
   std::vector<Observation> observations;
+  // Of a former incarnation: steps of its graph that precede these messages.
+  std::vector<model::GraphChange> graph;
   // As counted against credit: serialized size on the wire.
   size_t bytes = 0;
   // As counted against the credit of payloads: what came in chunks before this batch.

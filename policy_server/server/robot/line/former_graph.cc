@@ -1,0 +1,38 @@
+#include "policy_server/server/robot/line/former_graph.h"
+
+#include <algorithm>
+#include <memory>
+#include <optional>
+#include <utility>
+
+namespace rips::pipeline {
+
+void FormerGraph::Apply(const std::string& incarnation, absl::Span<const model::GraphChange> steps,
+                        const ros2::RosGraph& like) {
+  if (steps.empty()) return;
+  if (incarnation != incarnation_) number_ = 0;
+  incarnation_ = incarnation;
+  std::optional<ros2::RosGraph> graph;
+  const auto whole =
+      std::find_if(steps.rbegin(), steps.rend(), [](const auto& step) { return step.whole(); });
+  if (whole != steps.rend()) steps.remove_prefix(static_cast<size_t>(steps.rend() - whole) - 1);
+  for (const model::GraphChange& step : steps) {
+    if (!step.whole() && step.to_version <= number_) continue;
+    const bool fits = step.whole() || (number_ != 0 && step.from_version == number_);
+    if (step.whole()) {
+      graph = like;
+      graph->Clear();
+    } else if (fits && !graph) {
+      graph = *version_.graph;
+    }
+    number_ = fits && graph->Apply(step.delta).ok() ? step.to_version : 0;
+  }
+  if (number_ == 0 || !graph) return;
+  version_ = {std::make_shared<const ros2::RosGraph>(*std::move(graph)), version_.revision + 1};
+}
+
+const FormerGraph::Version* FormerGraph::Of(const std::string& incarnation, uint64_t number) const {
+  return number_ != 0 && number <= number_ && incarnation == incarnation_ ? &version_ : nullptr;
+}
+
+}  // namespace rips::pipeline
