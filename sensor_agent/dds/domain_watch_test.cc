@@ -2,6 +2,7 @@
 
 #include <map>
 #include <optional>
+#include <set>
 
 #include "absl/time/clock.h"
 #include "gmock/gmock.h"

@@ -1,5 +1,7 @@
 #include "services/dds/dds_entity.h"
 
+#include <string>
+
 #include "absl/strings/str_cat.h"
 #include "dds/dds.h"
 

@@ -9,6 +9,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/time/clock.h"
 #include "rips/v1/enrolment.grpc.pb.h"
 #include "services/base/status_macros.h"
 #include "services/pki/key_request.h"

@@ -1,5 +1,6 @@
 #include "services/wire_limits/field_limits.h"
 
+#include <memory>
 #include <set>
 #include <string>
 #include <vector>

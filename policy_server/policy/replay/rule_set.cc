@@ -4,6 +4,7 @@
 #include <system_error>
 #include <utility>
 
+#include "absl/strings/str_cat.h"
 #include "absl/time/time.h"
 #include "policy_server/policy/bundle/bundle.h"
 #include "policy_server/policy/inspect/checked_files.h"

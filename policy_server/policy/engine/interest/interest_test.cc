@@ -1,5 +1,6 @@
 #include "policy_server/policy/engine/interest/interest.h"
 
+#include <algorithm>
 #include <random>
 #include <string>
 #include <vector>
