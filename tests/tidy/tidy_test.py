@@ -12,6 +12,7 @@ import subprocess
 import sys
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+import includes  # noqa: E402
 from class_sizes import class_sizes  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -142,6 +143,15 @@ class Targets:
                            f"which {owner} does not link")
 
 
+def headers_not_listed():
+    """Common headers of RipsTargets.cmake that includes.py does not look for."""
+    text = (ROOT / "deploy/cmake/RipsTargets.cmake").read_text(encoding="utf-8")
+    common = re.search(r"set\(RIPS_COMMON_HEADERS([^)]*)\)", text).group(1)
+    for header in re.findall(r"<([^>]+)>", common):
+        if header not in includes.HEADERS and header != "utility":
+            yield f"tests/tidy/includes.py: no names of <{header}>, which is precompiled"
+
+
 def breaches(files, targets):
     for top in sorted({name.split("/")[0] for name in files} - TOP):
         yield f"{top}: not a top-level name of this project"
@@ -157,6 +167,8 @@ def breaches(files, targets):
             sizes |= {(name, each): size for each, _, size in class_sizes(text)}
         if not name.startswith(("tests/", "rules/", "deploy/")) and not name.endswith("_test.cc"):
             yield from targets.breaches(name, lines)
+        for used, header in includes.missing(name):
+            yield f"{name}: uses {used} and does not include {header}, nor does a header of ours"
         limit = CC_LINES_MAX if name.endswith(".cc") else HEADER_LINES_MAX
         limit, _ = LONG_HEADERS.get(name, (limit, ""))
         if len(lines) > limit:
@@ -180,6 +192,7 @@ def breaches(files, targets):
                 yield f"{name}:{number}: only the DDS adapters include dds/*.h"
             if targets.pure(name) and name not in ALLOWED and IMPURE.search(line):
                 yield f"{name}:{number}: a pure file must not: {line.strip()}"
+    yield from headers_not_listed()
     yield from class_breaches(sizes, large_classes())
     yield from walk_breaches((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"))
 
