@@ -15,9 +15,11 @@
 set(RIPS_LAYERS base pure port adapter shell)
 set(RIPS_PURE_THIRD_PARTY absl:: PkgConfig::RE2)
 define_property(TARGET PROPERTY RIPS_RANK BRIEF_DOCS "Position of the target's layer")
+define_property(TARGET PROPERTY RIPS_WIRE BRIEF_DOCS "Whether it links rips::proto or gRPC")
 
-# What most files include, compiled once for libraries and once for tests. The sanitizer builds do
-# without, so that a file which names too few headers does not build there.
+# What most files include, compiled once for each set of headers and of options. `wire`, for clang,
+# has what is generated from proto/ as well, and gRPC (proto/CMakeLists.txt). The test `tidy` sees
+# to it that a file names the headers of what it uses.
 set(RIPS_COMMON_HEADERS
     <algorithm> <atomic> <cstdint> <deque> <filesystem> <fstream> <functional> <map> <memory>
     <optional> <set> <sstream> <string> <thread> <utility> <variant> <vector>
@@ -26,21 +28,57 @@ set(RIPS_COMMON_HEADERS
     <absl/strings/str_cat.h> <absl/strings/str_format.h> <absl/strings/str_join.h>
     <absl/strings/str_replace.h> <absl/strings/str_split.h> <absl/time/clock.h>
     <absl/time/time.h>)
-if(NOT RIPS_SANITIZE)
-  add_library(rips_common_headers STATIC ${CMAKE_CURRENT_LIST_DIR}/common_headers.cc)
-  target_precompile_headers(rips_common_headers PRIVATE ${RIPS_COMMON_HEADERS})
-  add_library(rips_common_test_headers STATIC ${CMAKE_CURRENT_LIST_DIR}/common_headers.cc)
-  target_compile_options(rips_common_test_headers PRIVATE -O0)
-  target_compile_definitions(rips_common_test_headers PRIVATE GTEST_HAS_PTHREAD=1)
-  target_precompile_headers(rips_common_test_headers PRIVATE
-    ${RIPS_COMMON_HEADERS} <gmock/gmock.h> <gtest/gtest.h>)
-endif()
+set(RIPS_TEST_HEADERS <gmock/gmock.h> <gtest/gtest.h>)
 
-# _rips_common_headers(target rips_common_headers|rips_common_test_headers)
-function(_rips_common_headers target from)
-  if(TARGET ${from})
-    target_precompile_headers(${target} REUSE_FROM ${from})
+# rips_headers(NAME wire_test [LIKE wire] HEADERS <gtest/gtest.h> DEPS GTest::gmock OPTIONS -O0)
+function(rips_headers)
+  cmake_parse_arguments(A "" "NAME;LIKE" "HEADERS;DEPS;OPTIONS" ${ARGN})
+  if(A_LIKE)
+    get_target_property(headers rips_${A_LIKE}_headers PRECOMPILE_HEADERS)
+    get_target_property(deps rips_${A_LIKE}_headers LINK_LIBRARIES)
+    list(PREPEND A_HEADERS ${headers})
+    list(PREPEND A_DEPS ${deps})
   endif()
+  set(target rips_${A_NAME}_headers)
+  add_library(${target} OBJECT ${PROJECT_SOURCE_DIR}/deploy/cmake/common_headers.cc)
+  set_target_properties(${target} PROPERTIES UNITY_BUILD OFF)
+  target_compile_options(${target} PRIVATE ${A_OPTIONS})
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "Clang")  # the same bytes from the same headers, for ccache
+    target_compile_options(${target} PRIVATE "SHELL:-Xclang -fno-pch-timestamp")
+  endif()
+  target_link_libraries(${target} PRIVATE Threads::Threads ${A_DEPS})
+  target_precompile_headers(${target} PRIVATE ${A_HEADERS})
+endfunction()
+rips_headers(NAME common HEADERS ${RIPS_COMMON_HEADERS})
+rips_headers(NAME common_test LIKE common HEADERS ${RIPS_TEST_HEADERS} DEPS GTest::gmock
+             OPTIONS -O0)
+
+# Sets `out` to whether one of `deps` links what is generated from proto/, or gRPC.
+function(_rips_sees_wire out)
+  set(${out} FALSE PARENT_SCOPE)
+  foreach(dep IN LISTS ARGN)
+    if(dep MATCHES "^(gRPC::|rips::proto)")
+      set(${out} TRUE PARENT_SCOPE)
+    elseif(TARGET ${dep})
+      get_target_property(wire ${dep} RIPS_WIRE)
+      if(wire)
+        set(${out} TRUE PARENT_SCOPE)
+      endif()
+    endif()
+  endforeach()
+endfunction()
+
+# _rips_precompiled(target DEPS rips::base [SUFFIX _test]): the headers for a target of these links.
+# GCC takes a second to read `wire`, in all more than it saves; clang reads what a file uses.
+function(_rips_precompiled target)
+  cmake_parse_arguments(A "" "SUFFIX" "DEPS" ${ARGN})
+  _rips_sees_wire(wire ${A_DEPS})
+  set_target_properties(${target} PROPERTIES RIPS_WIRE ${wire})
+  set(from common)
+  if(wire AND CMAKE_CXX_COMPILER_ID STREQUAL "Clang")
+    set(from wire)
+  endif()
+  target_precompile_headers(${target} REUSE_FROM rips_${from}${A_SUFFIX}_headers)
 endfunction()
 
 function(_rips_check_dep target rank dep)
@@ -108,13 +146,15 @@ function(rips_library)
     add_library(rips_${A_NAME} STATIC ${A_SRCS})
     set(scope PUBLIC)
     target_compile_options(rips_${A_NAME} PRIVATE ${RIPS_WARNINGS})
-    _rips_common_headers(rips_${A_NAME} rips_common_headers)
+    _rips_precompiled(rips_${A_NAME} DEPS ${A_DEPS})
     if(A_NO_UNITY)
       set_target_properties(rips_${A_NAME} PROPERTIES UNITY_BUILD OFF)
     endif()
   else()
     add_library(rips_${A_NAME} INTERFACE)
     set(scope INTERFACE)
+    _rips_sees_wire(wire ${A_DEPS})
+    set_target_properties(rips_${A_NAME} PROPERTIES RIPS_WIRE ${wire})
   endif()
   add_library(rips::${A_NAME} ALIAS rips_${A_NAME})
   set_target_properties(rips_${A_NAME} PROPERTIES RIPS_RANK ${rank})
@@ -129,6 +169,7 @@ function(rips_binary)
   target_compile_options(${A_NAME} PRIVATE ${RIPS_WARNINGS})
   target_include_directories(${A_NAME} PRIVATE ${PROJECT_SOURCE_DIR})
   target_link_libraries(${A_NAME} PRIVATE ${A_DEPS})
+  _rips_precompiled(${A_NAME} DEPS ${A_DEPS})
 endfunction()
 
 # Sets `out` to whether a test of these files has no thread: it links pure code only, and starts none.
@@ -179,7 +220,7 @@ function(rips_test)
     RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/tests)
   # What is tested is optimised; the tests themselves are built quickly.
   target_compile_options(${A_NAME}_test PRIVATE ${RIPS_WARNINGS} -O0)
-  _rips_common_headers(${A_NAME}_test rips_common_test_headers)
+  _rips_precompiled(${A_NAME}_test SUFFIX _test DEPS ${A_DEPS})
   if(A_NO_UNITY)
     set_target_properties(${A_NAME}_test PROPERTIES UNITY_BUILD OFF)
   endif()
