@@ -30,7 +30,7 @@ import layer  # noqa: E402
 from container import Container, apply, unpack  # noqa: E402
 from fleet import Failed, Skipped, check  # noqa: E402
 from make_images import IMAGES, NotMade, make_images  # noqa: E402
-from make_packages import make_packages  # noqa: E402
+from make_packages import QUICK, make_packages  # noqa: E402
 from manifests import compose, kubernetes, version  # noqa: E402
 from root import APART, IDS, Failed as NoImage, NoRoot, Sources  # noqa: E402
 
@@ -53,7 +53,7 @@ class World:
         self.build, self.dir = build, directory
         self.packages = directory / "packages"
         began = time.monotonic()
-        make_packages(build, self.packages)
+        make_packages(build, self.packages, QUICK)
         packed = time.monotonic()
         self.cache = build / "images"
         self.images = make_images(self.packages, directory / "images", self.cache)

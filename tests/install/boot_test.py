@@ -22,7 +22,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
 sys.path[:0] = [str(SOURCE / "deploy/debian"), str(SOURCE / "tests/support")]
 from fleet import Failed, Skipped, check  # noqa: E402
-from make_packages import Failed as NotMade, make_packages  # noqa: E402
+from make_packages import Failed as NotMade, QUICK, make_packages  # noqa: E402
 
 LIMIT = 120  # seconds that a command or a change of state may take on a busy machine
 UNSHARE = ["unshare", "--mount", "--pid", "--fork", "--kill-child", "--mount-proc", "--propagation",
@@ -426,7 +426,7 @@ def main():
         place.mkdir()
         build = pathlib.Path(sys.argv[1]).resolve()
         try:
-            packages = make_packages(build, pathlib.Path(directory) / "packages")
+            packages = make_packages(build, pathlib.Path(directory) / "packages", QUICK)
         except NotMade as why:
             print(f"FAILED to make the packages: {why}")
             return 1

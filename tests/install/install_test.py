@@ -22,7 +22,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 SOURCE = HERE.parents[1]
 sys.path[:0] = [str(SOURCE / "deploy/debian"), str(SOURCE / "tests/support")]
 from fleet import Failed, Skipped, check  # noqa: E402
-from make_packages import Failed as NotMade, make_packages  # noqa: E402
+from make_packages import Failed as NotMade, QUICK, make_packages  # noqa: E402
 from agents import agents_need_what_every_release_has, agents_run_on_a_robot, \
     what_one_release_lacks_is_refused  # noqa: E402
 from overlay import APART, LIMIT, Overlay, run  # noqa: E402
@@ -56,7 +56,7 @@ def each_file_where_it_belongs(world):
 
 def same_build_same_bytes(world):
     other = world.dir / "another directory"
-    for package in make_packages(world.build, other):
+    for package in make_packages(world.build, other, QUICK):
         check(package.read_bytes() == (world.out / package.name).read_bytes(),
               f"{package.name} differs from that of the first time")
 
@@ -393,7 +393,7 @@ class World:
     def __init__(self, build, directory):
         self.build, self.dir = build, directory
         self.out = directory / "packages"
-        self.packages = make_packages(build, self.out)
+        self.packages = make_packages(build, self.out, QUICK)
 
 
 STEPS = [each_file_where_it_belongs, lintian_finds_no_error, units_are_confined,
