@@ -395,7 +395,8 @@ def sensor_on_a_wrong_domain(fleet):
     fleet.server = fleet.start_server()
     fleet.sensor = fleet.start_agent("sensor")
     fleet.actuator = fleet.start_agent("actuator")
-    nobody = f"sensor base sees no ROS node on domain {wrong}; is dds.domain right?"
+    nobody = (f"sensor base sees no ROS node on domain {wrong}; "
+              "are dds.domain and dds.interface right?")
     no_log = f"sensor base: IDS log (eve): cannot open `{log}`: No such file or directory"
 
     def wait_degraded(*texts):

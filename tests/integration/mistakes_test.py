@@ -182,7 +182,8 @@ def wrong_domain(fleet):
     fleet.start_robot()
     fleet.domain += 1
     fleet.start_agent("sensor")
-    wanted = f"sensor base sees no ROS node on domain {fleet.domain}; is dds.domain right?"
+    wanted = (f"sensor base sees no ROS node on domain {fleet.domain}; "
+              "are dds.domain and dds.interface right?")
     deadline = time.monotonic() + 30
     while wanted not in fleet.ripsctl("robot", "list")[1]:
         check(time.monotonic() < deadline, "`robot list` does not show it")

@@ -228,21 +228,23 @@ TEST_F(RobotCoverageTest, WhatIsNotVisibleIsShownAndIsExitCodeOne) {
 }
 
 TEST_F(RobotCoverageTest, WhatBlindsIsSaidFirstAndIsExitCodeOne) {
-  fake_.coverage.add_blind("sensor base sees no ROS node on domain 7; is dds.domain right?");
+  fake_.coverage.add_blind(
+      "sensor base sees no ROS node on domain 7; are dds.domain and dds.interface right?");
   fake_.coverage.add_blind("sensor base: ids log /l\x1b[2J: permission denied");
   fake_.coverage.mutable_sensors(0)->mutable_state()->add_blind("ids log /l: permission denied");
   const Result text = Run({"robot", "coverage", "r1"});
   EXPECT_EQ(text.code, 1);
-  EXPECT_THAT(
-      text.out,
-      testing::StartsWith("BLIND: sensor base sees no ROS node on domain 7; is dds.domain right?\n"
-                          "BLIND: sensor base: ids log /l\\x1b[2J: permission denied\n"
-                          "\n"
-                          "SENSOR  PRIMARY"));
+  EXPECT_THAT(text.out,
+              testing::StartsWith("BLIND: sensor base sees no ROS node on domain 7; are dds.domain "
+                                  "and dds.interface right?\n"
+                                  "BLIND: sensor base: ids log /l\\x1b[2J: permission denied\n"
+                                  "\n"
+                                  "SENSOR  PRIMARY"));
   const nlohmann::json json = RunJson({"robot", "coverage", "r1"}, 1);
   EXPECT_EQ(json["complete"], false);
   ASSERT_THAT(json["blind"], SizeIs(2));
-  EXPECT_EQ(json["blind"][0], "sensor base sees no ROS node on domain 7; is dds.domain right?");
+  EXPECT_EQ(json["blind"][0],
+            "sensor base sees no ROS node on domain 7; are dds.domain and dds.interface right?");
   EXPECT_EQ(json["sensors"][0]["blind"][0], "ids log /l: permission denied");
 }
 

@@ -13,7 +13,8 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
 
-constexpr char kNobody[] = "sensor base sees no ROS node on domain 7; is dds.domain right?";
+constexpr char kNobody[] =
+    "sensor base sees no ROS node on domain 7; are dds.domain and dds.interface right?";
 
 class RobotBlindTest : public RobotTest {
  protected:

@@ -65,7 +65,7 @@ GraphHealth ExamineGraph(const ros2::RosGraph& graph, const GraphExpectation& ex
     health.empty = true;
     health.problems.push_back(absl::StrCat("sensor ", expected.sensor,
                                            " sees no ROS node on domain ", expected.domain,
-                                           "; is dds.domain right?"));
+                                           "; are dds.domain and dds.interface right?"));
     return health;
   }
   std::vector<std::string> missing;

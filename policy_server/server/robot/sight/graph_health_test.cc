@@ -55,7 +55,8 @@ class GraphHealthTest : public testing::Test {
   GraphExpectation expected_ = {.sensor = "pc1", .domain = 7};
 };
 
-constexpr char kNobody[] = "sensor pc1 sees no ROS node on domain 7; is dds.domain right?";
+constexpr char kNobody[] =
+    "sensor pc1 sees no ROS node on domain 7; are dds.domain and dds.interface right?";
 
 TEST_F(GraphHealthTest, NobodyButRipsIsNobody) {
   EXPECT_THAT(Examine().problems, ElementsAre(kNobody));
