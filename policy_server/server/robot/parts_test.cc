@@ -64,6 +64,24 @@ TEST(SequenceTrackTest, WhatTheStoreHasIsNotForgottenForOthersOfTheStore) {
   EXPECT_EQ(durable.all(), track.all());
 }
 
+TEST(SequenceTrackTest, WhatASensorAnnouncesIsForgottenLast) {
+  SequenceTrack track;
+  for (char name = 'a'; name < 'u'; ++name) {
+    track.Load(std::string(16, name), Lane::kMessages, 7);
+  }
+  ASSERT_GT(track.all().size(), SequenceTrack::kIncarnationsMax);
+  const std::string oldest(16, 'a');
+  const std::string another(16, 'b');
+  for (const std::string& announced : {oldest, another, std::string(16, 'z')}) {
+    track.Announce(announced);
+  }
+  track.Restore(another, Lane::kMessages, 7);
+  track.Restore(std::string(16, 'y'), Lane::kMessages, 1);
+  EXPECT_EQ(track.Judged(oldest, Lane::kMessages), 7u);
+  EXPECT_EQ(track.Judged(another, Lane::kMessages), 7u);
+  EXPECT_EQ(track.Judged(std::string(16, 'z'), Lane::kMessages), 0u);
+}
+
 TEST(SequenceTrackTest, CountsWhatIsMissingInTheMessageLane) {
   SequenceTrack track;
 

@@ -56,6 +56,7 @@ uint64_t Losses::LostBefore(SensorHost& host, const input::SensorHello& in) {
   }
   bool went_back = parted;
   for (const SpooledRange& range : hello.spooled) {
+    host.sequences.Announce(range.incarnation);
     const uint64_t judged = host.sequences.Judged(range.incarnation, range.lane);
     if (range.acknowledged > judged) {
       went_back = true;

@@ -25,6 +25,11 @@ void SequenceTrack::Load(const std::string& incarnation, Lane lane, uint64_t jud
   held = std::max(held, judged);
 }
 
+void SequenceTrack::Announce(const std::string& incarnation) {
+  const auto it = std::find(recent_.begin(), recent_.end(), incarnation);
+  if (it != recent_.end()) std::rotate(it, it + 1, recent_.end());
+}
+
 void SequenceTrack::KeepOnly(const SequenceTrack& other) {
   std::erase_if(judged_, [&](const auto& each) { return !other.judged_.contains(each.first); });
   std::erase_if(recent_, [&](const std::string& incarnation) {

@@ -28,6 +28,8 @@ class SequenceTrack {
   // What the store has, at the start: nothing is forgotten for it, since which of them is the
   // newest is not known.
   void Load(const std::string& incarnation, Lane lane, uint64_t judged);
+  // A sensor announces it: of those that are known it is forgotten last.
+  void Announce(const std::string& incarnation);
   // Forgets the incarnations that `other` does not know.
   void KeepOnly(const SequenceTrack& other);
   // Takes up to here as judged, of an incarnation that is announced.
