@@ -4,8 +4,8 @@
 //
 // | a batch of messages                                  | brings                               |
 // |------------------------------------------------------|--------------------------------------|
-// | is the first, or the kBatchesMax-th, since the last  | a snapshot                           |
-// | snapshot of its stream                               |                                      |
+// | is the first of an outage, or the kBatchesMax-th     | a snapshot                           |
+// | since the last snapshot                              |                                      |
 // | is of a later version than the batch before it       | the steps between                    |
 // | else, or if the graph is not known or too large      | nothing                              |
 #ifndef RIPS_SENSOR_AGENT_OUTBOX_GRAPH_TRAIL_H_

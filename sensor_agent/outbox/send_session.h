@@ -32,7 +32,8 @@ namespace rips::sensor {
 struct Kept {
   Outbox outbox;
   Backlog backlog;
-  // By the messages in it.
+  // By the messages in it since the last stream that carried batches: what came before may be
+  // acknowledged, and the next server may hold none of it.
   GraphTrail::Brought brought = {};
   BatchPolicy policy = {};
   // What waits longer to be sent is not live any more.

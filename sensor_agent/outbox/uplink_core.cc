@@ -217,6 +217,7 @@ std::vector<AnnouncedRange> UplinkCore::Announce() {
 }
 
 void UplinkCore::EndStream(const absl::Status& why, int64_t now_ns, UplinkActions& actions) {
+  if (phase_ == Phase::kStreaming) kept_.brought = {};
   phase_ = Phase::kDown;
   session_.reset();
   if (!absl::IsInvalidArgument(why)) return;
@@ -228,6 +229,7 @@ void UplinkCore::EndStream(const absl::Status& why, int64_t now_ns, UplinkAction
 }
 
 void UplinkCore::Close(std::string why, UplinkActions& actions) {
+  if (phase_ == Phase::kStreaming) kept_.brought = {};
   phase_ = Phase::kDown;
   session_.reset();
   actions.list.emplace_back(CloseStream{.why = std::move(why)});

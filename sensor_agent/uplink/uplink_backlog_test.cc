@@ -273,6 +273,29 @@ TEST_F(UplinkBacklogTest, WhatIsSentLaterBringsTheGraphOfItsTime) {
       << "what it had set aside";
 }
 
+TEST_F(UplinkBacklogTest, EachOutageBringsTheGraphAnew) {
+  Start();
+  ASSERT_TRUE(WaitForStreams(1));
+  const auto snapshots = [&] {
+    size_t count = 0;
+    for (const auto& batch : server_.batches) {
+      for (const auto& step : batch.graph()) count += step.has_snapshot() ? 1 : 0;
+    }
+    return count;
+  };
+  for (size_t outage = 1; outage <= 2; ++outage) {
+    StopServer();
+    uplink_->Append({.messages = {{.boottime_ns = clock_.Now().boottime_ns,
+                                   .source = source_,
+                                   .graph_version = version_}}});
+    ASSERT_TRUE(WaitForValue("rips_sensor_backlog_bytes", [](double v) { return v > 0; }));
+    server_.Start();
+    ASSERT_TRUE(WaitForMessages(outage));
+    ASSERT_TRUE(WaitForValue("rips_sensor_backlog_bytes", [](double v) { return v == 0; }));
+    EXPECT_EQ(snapshots(), outage) << "the server may have been started anew";
+  }
+}
+
 TEST_F(UplinkBacklogTest, AnEndThatCannotBeReadIsAnnouncedNoMore) {
   options_.core.backlog.read_ahead_bytes = 1;
   Start();

@@ -1083,6 +1083,43 @@ def nodes_that_ended_while_the_server_was_away(fleet):
     check(fleet.level()["decided_level"] == "COMPROMISED", "the level was not raised")
 
 
+def drivers_while_the_server_is_away(fleet):
+    """Who drives beside the allowed node while the server is away, however it went, and has ended
+    when it is back, is accused; each time, and also if the sensor was stopped meanwhile."""
+    fleet.load_rules = DRIVER_RULES
+    arm_under_load(fleet)
+    allowed = fleet.start_publisher("--rate", 5)  # of a rule at most 100 alerts a second
+    allowed.wait_for(lambda line: '"publishing"' in line, 20, "the allowed node is read")
+    time.sleep(3)
+    for name, how in (("/a", signal.SIGTERM), ("/b", signal.SIGTERM), ("/c", signal.SIGKILL),
+                      ("/d", signal.SIGTERM)):
+        fleet.server.kill(how)
+        time.sleep(3)  # the allowed node's messages are set aside by now
+        rogue = fleet.start_publisher("--rate", 5, "--node", name)
+        rogue.wait_for(lambda line: '"publishing"' in line, 20, "the rogue is read")
+        time.sleep(4)
+        published(rogue)
+        if name == "/d":
+            check(fleet.sensor.kill() == 0, "the sensor did not end in order")
+            fleet.sensor = fleet.start_agent("sensor")
+        time.sleep(3)
+        before = 0 if name == "/d" else len(fleet.sensor.lines)
+        fleet.server = fleet.start_server()
+        fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams",
+                              start=before)
+        deadline = time.monotonic() + 60
+        while backlogged(fleet):  # what is live goes on
+            check(time.monotonic() < deadline, "what was set aside is not judged")
+            time.sleep(0.2)
+        accused = [alert["event"] for alert in fleet.alerts()
+                   if alert["text"] == "a rogue" and f"from {name}" in alert["event"]]
+        check(accused, f"{name} is not accused after {how.name}")
+        lost = [alert["text"] for alert in fleet.alerts() if "and did not come" in alert["text"]]
+        check(not lost, f"a loss that was none is told: {lost}")
+    check(fleet.level()["decided_level"] == "COMPROMISED", "the level was not raised")
+    published(allowed)
+
+
 RESTORED_RULES = """
 levels:
   DEFAULT;
@@ -1313,7 +1350,8 @@ SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              payloads_are_inspected_and_recorded, camera_guard_watches_a_real_camera,
              findings_are_told, server_killed_under_load,
              sensor_restarted_while_the_server_is_away,
-             nodes_that_ended_while_the_server_was_away, store_restored_from_a_backup,
+             nodes_that_ended_while_the_server_was_away, drivers_while_the_server_is_away,
+             store_restored_from_a_backup,
              starts_and_stops, actuator_whose_term_is_far_ahead]
 
 

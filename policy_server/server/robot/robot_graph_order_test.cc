@@ -36,10 +36,11 @@ rules External:
 class GraphOrderTest : public RobotTest {
  protected:
   // A Twist of `writer` that names a version of the graph.
-  static Observation Drive(uint8_t writer, uint64_t version) {
+  static Observation Drive(uint8_t writer, uint64_t version,
+                           absl::string_view sender = "/navigator") {
     return {.what = MessageSeen{.topic = "/cmd_vel",
                                 .type = "geometry_msgs/msg/Twist",
-                                .sender = "/navigator",
+                                .sender = sender,
                                 .writer = Writer(writer),
                                 .size_bytes = 52,
                                 .graph_version = version}};
@@ -137,26 +138,39 @@ TEST_F(GraphOrderTest, WhatWaitedTooLongIsJudgedAsUnattributedWithTheReason) {
   }
 }
 
-TEST_F(GraphOrderTest, WhatOutlivedItsGraphIsJudgedByTheGraphOfNowAndSaysSo) {
+TEST_F(GraphOrderTest, WhatOutlivedItsGraphIsJudgedByTheGraphOfNowAndItsWriter) {
   Start();
   ArmWithoutNavigator();
   SendFormer(1, {Drive(2, 5)});
-  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_EQ(Level(), "DEFAULT") << "the navigator drove, and has stopped since";
+  EXPECT_EQ(audience_.Count("rogue"), 0);
+  NavigatorComes();
+  SendFormer(2, {Drive(3, 5, "/rogue")});
+  EXPECT_EQ(Level(), "COMPROMISED") << "that only the navigator is left does not excuse it";
   ASSERT_EQ(audience_.Count("rogue"), 1);
-  EXPECT_THAT(audience_.alerts.back().event,
-              HasSubstr("who was there when it was taken is not known"));
+  EXPECT_THAT(
+      audience_.alerts.back().event,
+      AllOf(HasSubstr("/rogue"), HasSubstr("who was there when it was taken is not known")));
+}
+
+TEST_F(GraphOrderTest, AWriterThatNobodyKnowsIsAStrangerLater) {
+  Start();
+  Arm();
+  SendFormer(1, {Drive(3, 5, "")});
+  EXPECT_EQ(Level(), "COMPROMISED");
 }
 
 TEST_F(GraphOrderTest, WhatOutlivedItsGraphIsJudgedByTheGraphThatItBrings) {
   Start();
   ArmWithoutNavigator();
   const uint64_t in_force = robot_->core().graph().endpoints().size();
-  SendFormer(1, {Drive(2, 5)}, {NavigatorThen(5)});
-  SendFormer(2, {Drive(2, 5)});
+  // The graph knows better who writes than the message does.
+  SendFormer(1, {Drive(2, 5, "/other")}, {NavigatorThen(5)});
+  SendFormer(2, {Drive(2, 5, "/other")});
   ros2::GraphDelta joins;
   AddNode(&joins, 3, "/camera_2", "/image");
-  SendFormer(3, {Drive(2, 6)}, {{.from_version = 5, .to_version = 6, .delta = joins}});
-  EXPECT_EQ(Level(), "DEFAULT") << "the navigator drove, and has stopped since";
+  SendFormer(3, {Drive(2, 6, "/other")}, {{.from_version = 5, .to_version = 6, .delta = joins}});
+  EXPECT_EQ(Level(), "DEFAULT");
   EXPECT_EQ(audience_.Count("rogue"), 0);
   EXPECT_EQ(robot_->core().graph().endpoints().size(), in_force) << "it is not in force";
 }
@@ -176,19 +190,19 @@ TEST_F(GraphOrderTest, WhoWasNotAllowedThenIsAccusedLater) {
 TEST_F(GraphOrderTest, AGraphOfAnotherTimeOrProcessAndOneThatDoesNotFitIsNotUsed) {
   Start(kLooseRules);
   ArmWithoutNavigator();
-  SendFormer(1, {Drive(2, 5)}, {NavigatorThen(5)});
+  SendFormer(1, {Drive(2, 5, "/other")}, {NavigatorThen(5)});
   EXPECT_EQ(audience_.Count("rogue"), 0);
-  SendFormer(2, {Drive(2, 6)});
+  SendFormer(2, {Drive(2, 6, "/other")});
   EXPECT_EQ(audience_.Count("rogue"), 1) << "of a later version than what came";
-  SendFormer(1, {Drive(2, 5)}, {}, "an older process");
+  SendFormer(1, {Drive(2, 5, "/other")}, {}, "an older process");
   EXPECT_EQ(audience_.Count("rogue"), 2);
-  SendFormer(3, {Drive(2, 5)}, {{.from_version = 8, .to_version = 9}});
+  SendFormer(3, {Drive(2, 5, "/other")}, {{.from_version = 8, .to_version = 9}});
   EXPECT_EQ(audience_.Count("rogue"), 3) << "a step was lost";
   GraphChange broken = NavigatorThen(10);
   broken.delta.upsert_participants.clear();
-  SendFormer(4, {Drive(2, 5)}, {broken});
+  SendFormer(4, {Drive(2, 5, "/other")}, {broken});
   EXPECT_EQ(audience_.Count("rogue"), 4) << "it contradicts itself";
-  SendFormer(5, {Drive(2, 5)}, {NavigatorThen(11)});
+  SendFormer(5, {Drive(2, 5, "/other")}, {NavigatorThen(11)});
   EXPECT_EQ(audience_.Count("rogue"), 4) << "a snapshot makes it known again";
 }
 

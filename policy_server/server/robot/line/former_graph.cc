@@ -28,11 +28,32 @@ void FormerGraph::Apply(const std::string& incarnation, absl::Span<const model::
     number_ = fits && graph->Apply(step.delta).ok() ? step.to_version : 0;
   }
   if (number_ == 0 || !graph) return;
-  version_ = {std::make_shared<const ros2::RosGraph>(*std::move(graph)), version_.revision + 1};
+  version_ = {std::make_shared<const ros2::RosGraph>(*std::move(graph)), ++revision_};
 }
 
 const FormerGraph::Version* FormerGraph::Of(const std::string& incarnation, uint64_t number) const {
   return number_ != 0 && number <= number_ && incarnation == incarnation_ ? &version_ : nullptr;
+}
+
+const FormerGraph::Version* FormerGraph::With(const Version& base, const ros2::Endpoint& writer) {
+  if (base_revision_ != base.revision || with_added_.graph == nullptr) {
+    base_revision_ = base.revision;
+    with_added_ = base;
+    added_ = 0;
+  }
+  if (with_added_.graph->FindEndpoint(writer.guid) != nullptr) return &with_added_;
+  if (added_ == kAddedMax) return nullptr;
+  ++added_;
+  const ros2::Guid participant = writer.guid.Participant();
+  ros2::GraphDelta delta{.upsert_endpoints = {writer}};
+  if (!with_added_.graph->participants().contains(participant)) {
+    delta.upsert_participants.push_back({.guid = participant});
+  }
+  if (!writer.node.empty()) delta.upsert_nodes.push_back({writer.node, participant});
+  ros2::RosGraph graph = *with_added_.graph;
+  if (!graph.Apply(delta).ok() || graph.FindEndpoint(writer.guid) == nullptr) return nullptr;
+  with_added_ = {std::make_shared<const ros2::RosGraph>(std::move(graph)), ++revision_};
+  return &with_added_;
 }
 
 }  // namespace rips::pipeline

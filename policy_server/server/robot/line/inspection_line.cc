@@ -33,7 +33,7 @@ std::string InspectionLine::Remark(const MessageSeen& message,
                                    const GraphHistory::Choice& choice) const {
   if (choice.outlived) {
     return " (it came late, and who was there when it was taken is not known: it was judged by "
-           "who is there now)";
+           "who is there now, and its writer)";
   }
   if (!choice.wait && !choice.unattributed) return "";
   return absl::StrCat(" (no node is known: the graph did not show its writer within ",
@@ -58,11 +58,23 @@ void InspectionLine::OnGraph(const SensorHost& host) {
 }
 
 GraphHistory::Choice InspectionLine::Choose(const SensorHost& host, const Batch& batch,
-                                            const MessageSeen& message) const {
+                                            const MessageSeen& message) {
   const bool live = host.session && host.session->incarnation == batch.incarnation;
-  return history_.Choose(batch.incarnation, live, message.graph_version, message.writer,
-                         state_.graph.version(),
-                         former_.Of(batch.incarnation, message.graph_version));
+  GraphHistory::Choice choice =
+      history_.Choose(batch.incarnation, live, message.graph_version, message.writer,
+                      state_.graph.version(), former_.Of(batch.incarnation, message.graph_version));
+  if (live || choice.writer != nullptr || message.writer.none() ||
+      !context_.watch.Concerns(message.topic)) {
+    return choice;
+  }
+  const GraphHistory::Version* added =
+      former_.With(*choice.version, {.guid = message.writer,
+                                     .name = std::string(message.topic),
+                                     .type = std::string(message.type),
+                                     .node = std::string(message.sender)});
+  if (added == nullptr) return choice;
+  choice.version = added;
+  return choice;
 }
 
 std::optional<Piece> InspectionLine::Next(const SensorHost& host) {

@@ -49,7 +49,7 @@ class InspectionLine {
   void Expire(bool backlog) { history_.Expire(context_.now_ns(), backlog); }
   // Against which graph a message of the batch is judged.
   GraphHistory::Choice Choose(const SensorHost& host, const Batch& batch,
-                              const MessageSeen& message) const;
+                              const MessageSeen& message);
   // The event of a message that is judged against the graph that was chosen for it.
   static engine::MessageEvent EventOf(const MessageSeen& message,
                                       const GraphHistory::Choice& choice);
