@@ -382,7 +382,9 @@ bool Outbox::StartGraphWithSnapshot(int64_t now_ns) {
   }
   std::optional<GraphChange> base = graph_base_.Snapshot();
   if (!base.has_value()) return false;
-  ControlObservation snapshot{.boottime_ns = now_ns, .what = *std::move(base)};
+  // Not later than what comes after it.
+  ControlObservation snapshot{.boottime_ns = first != entries.end() ? first->boottime_ns : now_ns,
+                              .what = *std::move(base)};
   control_.bytes += CostOf(snapshot);
   entries.insert(entries.begin() + static_cast<ptrdiff_t>(control_.numbered), std::move(snapshot));
   control_.urgent = true;
@@ -404,7 +406,7 @@ size_t Outbox::DropUnnumberedGraph() {
   return dropped;
 }
 
-size_t Outbox::DropGraph() {
+void Outbox::DropGraph(int64_t now_ns) {
   for (size_t i = 0; i < control_.numbered; ++i) {
     ControlObservation& each = control_.entries[i];
     if (!IsGraph(each)) continue;
@@ -415,18 +417,23 @@ size_t Outbox::DropGraph() {
                      .last_boottime_ns = each.boottime_ns};
     control_.bytes += CostOf(each);
   }
-  return DropUnnumberedGraph();
+  const size_t left_out = DropUnnumberedGraph();
+  if (left_out == 0) return;
+  AddLoss({.cause = LossCause::kOutboxShed,
+           .count = left_out,
+           .first_boottime_ns = now_ns,
+           .last_boottime_ns = now_ns});
+}
+
+void Outbox::CloseGraph(int64_t now_ns) {
+  if (std::none_of(control_.entries.begin(), control_.entries.end(), IsGraph)) return;
+  if (GraphStartsWithSnapshot() || StartGraphWithSnapshot(now_ns)) return;
+  DropGraph(now_ns);
 }
 
 void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {
   snapshot_wanted_ = false;
-  const size_t left_out = DropGraph();
-  if (left_out > 0) {
-    AddLoss({.cause = LossCause::kOutboxShed,
-             .count = left_out,
-             .first_boottime_ns = now_ns,
-             .last_boottime_ns = now_ns});
-  }
+  DropGraph(now_ns);
   if (!primary_ || snapshot.empty()) return;
   std::vector<ControlObservation> parts;
   for (GraphChange& part : snapshot) {

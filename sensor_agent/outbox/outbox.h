@@ -139,8 +139,10 @@ class Outbox {
   // snapshot goes before everything that has none.
   void ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns);
 
-  // Forgets all graph steps; those with a number become a Loss of 1 under it. How many had none.
-  size_t DropGraph();
+  // The process ends: graph steps that are not acknowledged are left to the next one, with a
+  // snapshot as the first of them. Where that is not known, or one is wanted, they are dropped, and
+  // counted as Loss.
+  void CloseGraph(int64_t now_ns);
 
   // Whether this sensor reports graph and messages. While it does not, both are refused here; on
   // becoming so a snapshot is wanted.
@@ -165,6 +167,8 @@ class Outbox {
   void CountShed(const MessageSeen& message);
   // Removes the graph steps without number; how many there were.
   size_t DropUnnumberedGraph();
+  // All graph steps; those with a number become a Loss of 1 under it, the others one Loss.
+  void DropGraph(int64_t now_ns);
 
   OutboxLimits limits_;
   LaneQueue<MessageSeen> messages_;

@@ -529,9 +529,30 @@ TEST_F(OutboxTest, StepsThatWereLeftOutNeedASnapshotOfNow) {
   outbox_.MarkSent(Lane::kControl, 1);
   ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 1), IsOk());
   AddGraph(1, 2);
-  EXPECT_EQ(outbox_.DropGraph(), 1u);
+  outbox_.ReplaceGraph({}, now_ns_);
   AddGraph(2, 3);
   EXPECT_FALSE(outbox_.StartGraphWithSnapshot(now_ns_));
+
+  outbox_.CloseGraph(now_ns_);
+  outbox_.FlushMerged(now_ns_ + kMs);
+  EXPECT_THAT(UnsentControl(), ElementsAre("2:loss  2")) << "the next process cannot use them";
+}
+
+TEST_F(OutboxTest, StepsThatNoServerHasAreLeftToTheNextProcess) {
+  AddGraph(0, 1);
+  outbox_.MarkSent(Lane::kControl, 1);
+  ASSERT_THAT(outbox_.Acknowledge(Lane::kControl, 1), IsOk());
+  outbox_.CloseGraph(now_ns_);
+  EXPECT_THAT(UnsentControl(), IsEmpty()) << "there is no news";
+  AddGraph(1, 2);
+  AddGraph(2, 3);
+  const int64_t taken_ns = outbox_.UnsentControl(0).boottime_ns;
+  outbox_.CloseGraph(taken_ns + 100 * kMs);
+  EXPECT_THAT(UnsentControl(), ElementsAre("2:graph 0-1", "3:graph 1-2", "4:graph 2-3"));
+  EXPECT_EQ(outbox_.UnsentControl(0).boottime_ns, taken_ns)
+      << "a server takes several changes of one time for one";
+  outbox_.CloseGraph(taken_ns + 100 * kMs);
+  EXPECT_THAT(UnsentControl(), SizeIs(3)) << "once";
 }
 
 TEST_F(OutboxTest, BytesReturnToZeroWhenAllIsAcknowledged) {

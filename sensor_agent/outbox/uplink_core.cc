@@ -384,14 +384,7 @@ void UplinkCore::Stop(int64_t now_ns, UplinkActions& actions) {
   stopping_ = true;
   kept_.backlog.BeginStop();
   MergeLosses();
-  // The next process begins with a snapshot; steps of this one's graph lead nowhere.
-  const size_t steps = outbox.DropGraph();
-  if (steps > 0) {
-    outbox.AddLoss({.cause = LossCause::kOutboxShed,
-                    .count = steps,
-                    .first_boottime_ns = now_ns,
-                    .last_boottime_ns = now_ns});
-  }
+  outbox.CloseGraph(now_ns);
   outbox.FlushMerged(now_ns + outbox.limits().merge_ns);
   outbox.Rewind();
   const auto save = [&](Lane lane, const auto& drain) {

@@ -345,7 +345,7 @@ TEST_F(UplinkCoreTest, AStopWritesAllThatIsNotAcknowledged) {
   On(Stopping{});
   EXPECT_TRUE(core_.drained());
   EXPECT_EQ(core_.backlog().Unwritten(), 0u);
-  EXPECT_EQ(written_[kLive], 4u) << "the graph as a loss, and three messages";
+  EXPECT_EQ(written_[kLive], 4u) << "the graph, and three messages";
 }
 
 }  // namespace

@@ -1120,6 +1120,60 @@ def drivers_while_the_server_is_away(fleet):
     published(allowed)
 
 
+STRANGER_RULES = """
+levels:
+  DEFAULT;
+  ALERT;
+  COMPROMISED;
+  HALT;
+vars:
+  stranger bool = false;
+rules Graph:
+  came: !nodesinclude("/load", "/rips") && !stranger ?
+    set(stranger, true) => alert("a stranger") => trigger(ALERT);
+  left: nodesinclude("/load", "/rips") && stranger ? set(stranger, false) => alert("no stranger", "info");
+rules Msg:
+  none: topicmatches("^/load") && topicmatches("^/none") ? alert("none");
+rules External:
+  unused: false ? trigger(COMPROMISED), trigger(HALT);
+"""
+
+
+def strangers_while_the_server_is_away(fleet):
+    """Who joins and leaves while the server is away is told of, also if the sensor is stopped before
+    the server is back; who is allowed is not, and nothing is lost."""
+    fleet.load_rules = STRANGER_RULES
+    arm_under_load(fleet)
+
+    def comes_and_goes(*options):
+        node = fleet.start_publisher("--rate", 5, *options)
+        node.wait_for(lambda line: '"publishing"' in line, 20, "the node is read")
+        time.sleep(2)
+        published(node)
+        time.sleep(2)  # the sensor has seen it go
+
+    for name, told in (("/load", 0), ("/stranger", 1)):
+        fleet.server.kill(signal.SIGTERM)
+        time.sleep(2)
+        comes_and_goes("--node", name)
+        check(fleet.sensor.kill() == 0, "the sensor did not end in order")
+        fleet.sensor = fleet.start_agent("sensor")
+        fleet.server = fleet.start_server()
+        fleet.sensor.wait_for(lambda line: " streaming " in line, 30, "the sensor streams")
+        comes_and_goes()  # it is seen that the sensor has gone on
+        deadline = time.monotonic() + 60
+        while backlogged(fleet):
+            check(time.monotonic() < deadline, "what was left is not judged")
+            time.sleep(0.2)
+        texts = [alert["text"] for alert in fleet.alerts()]
+        check(texts.count("a stranger") == told, f"{name}: {texts}")
+        check(texts.count("no stranger") == told, f"{name} has gone: {texts}")
+        check(not [text for text in texts if "were lost" in text], f"a loss is told: {texts}")
+    late = [alert["event"] for alert in fleet.alerts() if alert["text"] == "a stranger"]
+    check("it came late" in late[0], late[0])
+    check(fleet.level()["decided_level"] == "ALERT", "the level was not raised")
+
+
 RESTORED_RULES = """
 levels:
   DEFAULT;
@@ -1351,7 +1405,7 @@ SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              findings_are_told, server_killed_under_load,
              sensor_restarted_while_the_server_is_away,
              nodes_that_ended_while_the_server_was_away, drivers_while_the_server_is_away,
-             store_restored_from_a_backup,
+             strangers_while_the_server_is_away, store_restored_from_a_backup,
              starts_and_stops, actuator_whose_term_is_far_ahead]
 
 

@@ -7,7 +7,9 @@ namespace rips::pipeline {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::HasSubstr;
+using ::testing::Pair;
 
 constexpr char kSenderRules[] = R"(
 levels:
@@ -59,6 +61,66 @@ class GraphOrderTest : public RobotTest {
                                                         .bytes = 100}));
     Drain();
     Pass(100);
+  }
+  // Steps of the graph of such a process that no server had judged when it ended; announced are as
+  // many as the test says.
+  void SendFormerSteps(uint64_t sequence, std::vector<GraphChange> steps) {
+    std::vector<Observation> observations;
+    for (GraphChange& step : steps) {
+      observations.push_back({.boottime_ns = Boottime(), .what = std::move(step)});
+    }
+    robot_->OnBatch("base", sensor_.get(),
+                    std::make_shared<const Batch>(Batch{.incarnation = "fedcba9876543210",
+                                                        .lane = Lane::kControl,
+                                                        .first_sequence = sequence,
+                                                        .observations = std::move(observations),
+                                                        .bytes = 100}));
+    Drain();
+  }
+  static SpooledRange FormerSteps(uint64_t last) {
+    return {.incarnation = "fedcba9876543210",
+            .lane = Lane::kControl,
+            .first_sequence = 1,
+            .last_sequence = last};
+  }
+  static GraphChange NormalThen(uint64_t version) {
+    return {.to_version = version, .settled = true, .delta = NormalGraph()};
+  }
+  static GraphChange IntruderJoins(uint64_t from) {
+    GraphChange joins{.from_version = from, .to_version = from + 1, .settled = true};
+    AddNode(&joins.delta, 9, "/intruder");
+    return joins;
+  }
+  static GraphChange IntruderLeft(uint64_t from) {
+    GraphChange left{.from_version = from, .to_version = from + 1, .settled = true};
+    left.delta.gone_guids = {Participant(9)};
+    return left;
+  }
+  // The sensor is started anew, beside a robot at DEFAULT; with these in its spool.
+  void StartAnew(std::vector<SpooledRange> spooled) {
+    Start();
+    Arm();
+    robot_->OnSensorGone("base", sensor_.get());
+    Drain();
+    next_sequence_[0] = next_sequence_[1] = 1;
+    sensor_ = std::make_shared<FakeSensor>();
+    robot_->OnSensorHello(
+        "base", sensor_,
+        {.incarnation = "another process!", .clock = clock_.Now(), .spooled = std::move(spooled)});
+    AnswerInterest();
+    Drain();
+  }
+  void SendOwnGraph(ros2::GraphDelta graph) {
+    robot_->OnBatch(
+        "base", sensor_.get(),
+        std::make_shared<const Batch>(Batch{
+            .incarnation = "another process!",
+            .lane = Lane::kControl,
+            .first_sequence = 1,
+            .observations = {{.boottime_ns = Boottime(),
+                              .what = GraphChange{.to_version = 1, .settled = true, .delta = graph}}},
+            .bytes = 100}));
+    Drain();
   }
   static GraphChange NavigatorThen(uint64_t version) {
     GraphChange whole{.to_version = version, .settled = true};
@@ -204,6 +266,95 @@ TEST_F(GraphOrderTest, AGraphOfAnotherTimeOrProcessAndOneThatDoesNotFitIsNotUsed
   EXPECT_EQ(audience_.Count("rogue"), 4) << "it contradicts itself";
   SendFormer(5, {Drive(2, 5, "/other")}, {NavigatorThen(11)});
   EXPECT_EQ(audience_.Count("rogue"), 4) << "a snapshot makes it known again";
+}
+
+TEST_F(GraphOrderTest, WhoCameAndWentBeforeTheSensorWasStartedAnewIsTold) {
+  StartAnew({FormerSteps(3)});
+  SendOwnGraph(NormalGraph());
+  Pass(100);
+  SendFormerSteps(1, {NormalThen(7), IntruderJoins(7)});
+  EXPECT_EQ(Level(), "ALERT");
+  ASSERT_EQ(audience_.Count("unknown node"), 1);
+  EXPECT_THAT(audience_.alerts.back().event, AllOf(HasSubstr(", taken at 20"), HasSubstr("it came late")));
+  EXPECT_EQ(robot_->core().graph().nodes().size(), 2u) << "it is not in force";
+  Pass(60'000);
+  EXPECT_EQ(Level(), "ALERT") << "the rest of the backlog has not come";
+  EXPECT_THAT(recorder_.variables, Contains(Pair("intruder", lang::Value(true))));
+
+  SendFormerSteps(3, {IntruderLeft(8)});
+  Pass(1'000);
+  EXPECT_THAT(recorder_.variables, Contains(Pair("intruder", lang::Value(false))));
+  EXPECT_EQ(Level(), "ALERT") << "what came late is no evidence";
+  Obey();
+  Pass(60'000);
+  EXPECT_EQ(Level(), "DEFAULT") << "he has gone";
+  EXPECT_EQ(audience_.Count("unknown node"), 1);
+}
+
+TEST_F(GraphOrderTest, WhoWasThereWhenTheSensorEndedIsLookedForInTheNextGraph) {
+  StartAnew({FormerSteps(2)});
+  SendFormerSteps(1, {NormalThen(7), IntruderJoins(7)});
+  Pass(1'000);
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_THAT(recorder_.variables, Contains(Pair("intruder", lang::Value(true))))
+      << "the graph in force is older than what came late";
+  ros2::GraphDelta graph = NormalGraph();
+  AddNode(&graph, 9, "/intruder");
+  SendOwnGraph(std::move(graph));
+  Pass(60'000);
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_THAT(recorder_.variables, Contains(Pair("intruder", lang::Value(true))));
+}
+
+TEST_F(GraphOrderTest, AStepThatWasJudgedBeforeIsWhatTheNextGoesOnFrom) {
+  StartAnew({FormerSteps(3)});
+  SendOwnGraph(NormalGraph());
+  SendFormerSteps(1, {NormalThen(7)});
+  // Another connection brings the batch once more, as it was spooled.
+  SendFormerSteps(1, {NormalThen(7), IntruderJoins(7), IntruderLeft(8)});
+  EXPECT_EQ(audience_.Count("unknown node"), 1);
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("do not fit one another"), 0);
+}
+
+TEST_F(GraphOrderTest, WhatDoesNotGoOnFromAnythingIsLost) {
+  StartAnew({FormerSteps(2)});
+  SendOwnGraph(NormalGraph());
+  SendFormerSteps(1, {IntruderJoins(7), IntruderLeft(8)});
+  EXPECT_EQ(Level(), "DEFAULT");
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("do not fit one another"), 1);
+}
+
+TEST_F(GraphOrderTest, WhatTheRulesKeepOfALateMessageIsLookedAtAgain) {
+  Start(R"(
+levels:
+  DEFAULT;
+  ALERT;
+  COMPROMISED;
+  HALT;
+vars:
+  driver bool = false;
+rules Graph:
+  gone: topicpublishersinclude("/cmd_vel", "/navigator") && driver ? set(driver, false);
+rules Msg:
+  rogue: topicin("/cmd_vel") && !publishers("/navigator") ?
+    set(driver, true) => alert("rogue cmd_vel", "critical");
+rules External:
+  others: false ? trigger(ALERT), trigger(COMPROMISED), trigger(HALT);
+)");
+  Arm();
+  ros2::GraphDelta rogue;
+  AddNode(&rogue, 3, "/rogue", "/cmd_vel");
+  SendDelta(std::move(rogue));
+  ros2::GraphDelta gone;
+  gone.gone_guids = {Participant(3)};
+  SendDelta(std::move(gone));
+  SendBatch(Lane::kMessages, {Drive(3, 2), Drive(3, 2)});
+  Pass(100);
+  EXPECT_EQ(audience_.Count("rogue"), 2);
+  EXPECT_THAT(recorder_.variables, Contains(Pair("driver", lang::Value(false))))
+      << "it has gone, and no graph comes that would say so";
 }
 
 TEST_F(GraphOrderTest, OnlyWhatIsBehindAWaitingMessageWaitsWithIt) {

@@ -53,9 +53,14 @@ void Judge::AdvanceControl() {
   // that was applied will not.
   const std::string name = first.host;
   std::optional<engine::Event> merged = control_.Pop();
-  if (!merged) return;
   SensorHost* listed = parts_.sensors.Listed(name);
-  if (listed != nullptr && listed->settled) OnGraph(*listed, *std::move(merged), nullptr);
+  const bool late = late_.WasHeldBack();
+  if (merged && late) {
+    late_.Judge(*std::move(merged));
+  } else if (merged && listed != nullptr && listed->settled) {
+    OnGraph(*listed, *std::move(merged), nullptr);
+  }
+  late_.LookAgain(listed);
 }
 
 void Judge::AdvanceMessages() {
@@ -67,7 +72,9 @@ void Judge::AdvanceMessages() {
     JudgePiece(*host, *piece);
     host = parts_.sensors.Find(first.host, first.session);
   }
-  if (host == nullptr || first.whole()) messages_.Pop();
+  if (host != nullptr && !first.whole()) return;
+  messages_.Pop();
+  late_.LookAgain(host);
 }
 
 void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
@@ -79,6 +86,13 @@ void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
   parts_.decider.RunEvents();
   parts_.context.Count(Counter::kObservationsDuplicate, accepted->skip);
   parts_.outbox.Touch(&DurableOutbox::Unsaved::sequences);
+  for (size_t i = piece.from; i < piece.from + accepted->skip; ++i) {
+    // What comes after it needs it.
+    const auto* change = std::get_if<GraphChange>(&batch.observations[i].what);
+    if (change != nullptr && batch.incarnation != host.session->incarnation) {
+      late_.Apply(host, batch.incarnation, *change);
+    }
+  }
   std::shared_ptr<const Batch> keeps = piece.waiting.batch;
   for (size_t i = piece.from + accepted->skip; i < piece.to; ++i) {
     const auto* finding = std::get_if<FindingSeen>(&batch.observations[i].what);
@@ -118,18 +132,21 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index,
     event.what = std::move(external);
     parts_.decider.Run(event);
   };
-  // The graph of an incarnation that is over leads nowhere.
-  const bool has_graph = primary && batch.incarnation == session.incarnation;
   std::visit(Overloaded{[&](const MessageSeen&) {
                           if (primary) JudgeMessage(host, piece, index, std::move(event), keeps);
                         },
                         [&](const GraphChange& change) {
-                          if (has_graph) JudgeGraph(host, piece, change, seen.boottime_ns, event);
+                          if (!primary) return;
+                          if (batch.incarnation != session.incarnation) {
+                            return JudgeFormerGraph(host, batch, seen, event);
+                          }
+                          JudgeGraph(host, piece, change, seen.boottime_ns, event);
                         },
                         [&](const LossSeen& loss) {
                           if (!loss.topic.empty() && !Concerns(loss.topic)) {
                             event.what = engine::ExternalEvent(EventOf(loss, session));
-                            return parts_.decider.Run(event, {.muted = true});
+                            parts_.decider.Run(event, {.muted = true});
+                            return;
                           }
                           parts_.losses.OnLoss(host, loss);
                           run(EventOf(loss, session));
@@ -166,10 +183,13 @@ void Judge::JudgeMessage(SensorHost& host, const Piece& piece, size_t index, eng
                          .remark = messages_.Remark(message, choice),
                          .muted = !concerns};
   engine::CurrentGraph& graph = parts_.state.graph;
-  if (choice.version->revision == graph.revision()) return parts_.decider.Run(event, source);
+  if (choice.version->revision == graph.revision()) {
+    parts_.decider.Run(event, source);
+    return;
+  }
   const engine::CurrentGraph::Version newest = graph.version();
   graph.Show(*choice.version);
-  parts_.decider.Run(event, source);
+  if (parts_.decider.Run(event, source)) late_.OnKept();
   graph.Show(newest);
 }
 
@@ -198,6 +218,27 @@ void Judge::JudgeGraph(SensorHost& host, const Piece& piece, const GraphChange& 
   OnGraph(host, std::move(event), next ? batch : nullptr);
 }
 
+void Judge::JudgeFormerGraph(SensorHost& host, const Batch& batch, const Observation& seen,
+                             engine::Event event) {
+  const GraphChange& change = std::get<GraphChange>(seen.what);
+  if (batch.lane != Lane::kControl) return;
+  if (!late_.Apply(host, batch.incarnation, change)) {
+    const LossSeen loss{
+        .count = 1,
+        .first_ns = seen.boottime_ns,
+        .last_ns = seen.boottime_ns,
+        .cause = "changes of the graph before the sensor was started anew do not fit one another"};
+    parts_.losses.OnLoss(host, loss);
+    event.what = engine::ExternalEvent(EventOf(loss, *host.session));
+    parts_.decider.Run(event);
+    return;
+  }
+  // It may have been judged when that incarnation told it.
+  if (!late_.settled() || in_force_ == InForce{batch.incarnation, change.to_version}) return;
+  if (control_.Merges(event, seen.boottime_ns)) return late_.HoldBack();
+  late_.Judge(std::move(event));
+}
+
 void Judge::OnGraph(SensorHost& host, engine::Event event, std::shared_ptr<const Batch> told_by) {
   parts_.state.graph = host.graph;
   in_force_ = {.incarnation = host.graph_incarnation, .version = host.graph_version};
@@ -208,7 +249,10 @@ void Judge::OnGraph(SensorHost& host, engine::Event event, std::shared_ptr<const
   parts_.findings.Update();
   parts_.evidence.Update();
   event.what = engine::GraphEvent{};
+  // The rules may have been run on a former graph since the one before.
+  if (late_.look_again()) told_by = nullptr;
   parts_.decider.Run(event, {.batch = std::move(told_by), .remark = ""});
+  late_.OnLook(host);
   if (host.session) parts_.sensors.GrantCredit(host);
 }
 

@@ -15,6 +15,7 @@
 #include "policy_server/server/robot/context/context.h"
 #include "policy_server/server/robot/context/durable_outbox.h"
 #include "policy_server/server/robot/context/evidence_gate.h"
+#include "policy_server/server/robot/core/late_graph.h"
 #include "policy_server/server/robot/decide/decider.h"
 #include "policy_server/server/robot/decide/evidence.h"
 #include "policy_server/server/robot/line/control_line.h"
@@ -46,7 +47,8 @@ class Judge {
   explicit Judge(const JudgeParts& parts)
       : parts_(parts),
         messages_(&parts.context, &parts.losses, &parts.state),
-        control_(&parts.context) {}
+        control_(&parts.context),
+        late_(&parts.context, &parts.state, &parts.gate, &parts.decider) {}
 
   // A batch waits from now on, if the session is the host's.
   void OnBatch(const input::SensorBatch& in);
@@ -77,6 +79,9 @@ class Judge {
                     std::shared_ptr<const Batch>& keeps);
   void JudgeGraph(SensorHost& host, const Piece& piece, const GraphChange& change,
                   int64_t boottime_ns, engine::Event event);
+  // Of an incarnation of the sensor that is over: rules are run on it, it is not in force.
+  void JudgeFormerGraph(SensorHost& host, const Batch& batch, const Observation& seen,
+                        engine::Event event);
   // `told_by` holds the change that led from the graph in force to the host's; null if several did.
   void OnGraph(SensorHost& host, engine::Event event, std::shared_ptr<const Batch> told_by);
   bool Concerns(absl::string_view topic) const { return parts_.context.watch.Concerns(topic); }
@@ -84,6 +89,7 @@ class Judge {
   JudgeParts parts_;
   InspectionLine messages_;
   ControlLine control_;
+  LateGraph late_;
   // Which graph of a sensor is in force; none after a change of it that is not.
   struct InForce {
     std::string incarnation;

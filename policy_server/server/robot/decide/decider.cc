@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "absl/time/time.h"
 #include "services/base/overloaded.h"
 
 namespace rips::pipeline {
@@ -69,6 +70,13 @@ std::string NamesakesText(const engine::Event& event, const ros2::RosGraph& grap
                       "; other nodes of this name: ", absl::StrJoin(others, ", "));
 }
 
+// Behind a description: when it was, if that is not the time at which alerts of it are raised.
+std::string LateText(const engine::Event& event) {
+  if (event.lateness != levels::Lateness::kLate) return "";
+  return absl::FormatTime(", taken at %Y-%m-%dT%H:%M:%E3SZ",
+                          absl::FromUnixNanos(event.time_unix_ns), absl::UTCTimeZone());
+}
+
 // To those who compare.
 void RecordOutcome(const engine::Outcome& outcome, const engine::RobotState& state,
                    Context& context) {
@@ -96,19 +104,20 @@ std::string CauseText(const levels::Cause& cause) {
   return "";
 }
 
-void Decider::Run(const engine::Event& event, const Source& source) {
+bool Decider::Run(const engine::Event& event, const Source& source) {
   levels::Evidence evidence = evidence_.Assess(context_.now());
   RecordEvent(event, source, evidence, state_, context_);
-  if (source.muted) return;
+  if (source.muted) return false;
   state_.evidence = std::move(evidence);
   const engine::Outcome outcome = engine::Evaluate(event, context_.now(), state_);
   if (!outcome.effects.empty() || outcome.faults > 0 || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
     Perform(outcome, absl::StrCat(engine::Describe(event), NamesakesText(event, state_.graph.get()),
-                                  source.remark));
+                                  LateText(event), source.remark));
   } else if (outcome.variables_changed) {
     outbox_.Touch(&DurableOutbox::Unsaved::variables);
   }
+  return outcome.variables_changed;
 }
 
 void Decider::RunEvents() {

@@ -49,7 +49,8 @@ class Decider {
         budget_spent_(state->level.soft_suspended()) {}
 
   // Evaluates the rules on an event, and does what they ask for; a muted one is only recorded.
-  void Run(const engine::Event& event, const Source& source = {});
+  // True: variables of the policy have changed.
+  bool Run(const engine::Event& event, const Source& source = {});
   // The same with all of context.events, and those that these make.
   void RunEvents();
   void OnActuation(engine::Actuation actuation);

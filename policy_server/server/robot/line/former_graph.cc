@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <memory>
-#include <optional>
 #include <utility>
 
 namespace rips::pipeline {
@@ -12,7 +11,6 @@ void FormerGraph::Apply(const std::string& incarnation, absl::Span<const model::
   if (steps.empty()) return;
   if (incarnation != incarnation_) number_ = 0;
   incarnation_ = incarnation;
-  std::optional<ros2::RosGraph> graph;
   const auto whole =
       std::find_if(steps.rbegin(), steps.rend(), [](const auto& step) { return step.whole(); });
   if (whole != steps.rend()) steps.remove_prefix(static_cast<size_t>(steps.rend() - whole) - 1);
@@ -20,19 +18,22 @@ void FormerGraph::Apply(const std::string& incarnation, absl::Span<const model::
     if (!step.whole() && step.to_version <= number_) continue;
     const bool fits = step.whole() || (number_ != 0 && step.from_version == number_);
     if (step.whole()) {
-      graph = like;
-      graph->Clear();
-    } else if (fits && !graph) {
-      graph = *version_.graph;
+      graph_ = like;
+      graph_.Clear();
+      settled_ = false;
     }
-    number_ = fits && graph->Apply(step.delta).ok() ? step.to_version : 0;
+    number_ = fits && graph_.Apply(step.delta).ok() ? step.to_version : 0;
+    settled_ |= step.settled;
+    version_.graph = nullptr;
   }
-  if (number_ == 0 || !graph) return;
-  version_ = {std::make_shared<const ros2::RosGraph>(*std::move(graph)), ++revision_};
 }
 
-const FormerGraph::Version* FormerGraph::Of(const std::string& incarnation, uint64_t number) const {
-  return number_ != 0 && number <= number_ && incarnation == incarnation_ ? &version_ : nullptr;
+const FormerGraph::Version* FormerGraph::Of(const std::string& incarnation, uint64_t number) {
+  if (number_ == 0 || number > number_ || incarnation != incarnation_) return nullptr;
+  if (version_.graph == nullptr) {
+    version_ = {std::make_shared<const ros2::RosGraph>(graph_), ++revision_};
+  }
+  return &version_;
 }
 
 const FormerGraph::Version* FormerGraph::With(const Version& base, const ros2::Endpoint& writer) {

@@ -1,5 +1,6 @@
-// The graph that messages of a former incarnation bring with them (ObservationBatch.graph): what
-// the sensor saw when it took them. Theirs and no others': it is never in force.
+// The graph of a former incarnation of a sensor, as it comes late: with messages
+// (ObservationBatch.graph), or by steps of the control lane that no server had judged when that
+// incarnation ended. It judges these and nothing else: it is never in force.
 //
 // Where the graph that judges such a message does not show its writer, the writer is added as the
 // message names it: whoever wrote was there, so "only these publish" must not hold without it.
@@ -21,15 +22,26 @@ namespace rips::pipeline {
 class FormerGraph {
  public:
   using Version = engine::CurrentGraph::Version;
+  // Below the revisions of its graphs; no other graph that is judged by may have one of them.
+  static constexpr uint64_t kOfMessages = uint64_t{1} << 63;
+  static constexpr uint64_t kOfControl = uint64_t{3} << 62;
 
-  // A batch of `incarnation` that brings `steps` is judged next. Steps that do not fit make the
-  // graph unknown until the next snapshot; those that are repeated do nothing. Limits and kept
-  // topics are those of `like`.
+  explicit FormerGraph(uint64_t revisions_above) : revision_(revisions_above) {}
+
+  // What `incarnation` tells next. Steps that do not fit make the graph unknown until the next
+  // snapshot; those that are repeated do nothing. Limits and kept topics are those of `like`.
   void Apply(const std::string& incarnation, absl::Span<const model::GraphChange> steps,
              const ros2::RosGraph& like);
 
-  // For a message of `incarnation` that names version `number`; null if its graph is not known.
-  const Version* Of(const std::string& incarnation, uint64_t number) const;
+  // For what `incarnation` took under version `number` or an earlier one; null if its graph is not
+  // known. Holds until the next Apply.
+  const Version* Of(const std::string& incarnation, uint64_t number);
+  // The last that was told; null if it is not known. Holds as above.
+  const Version* newest() { return Of(incarnation_, number_); }
+  // Of it; 0 = it is not known.
+  uint64_t number() const { return number_; }
+  // Discovery had settled.
+  bool settled() const { return settled_; }
 
   // Each graph is a copy: so many writers are added to one.
   static constexpr size_t kAddedMax = 16;
@@ -39,15 +51,17 @@ class FormerGraph {
 
  private:
   std::string incarnation_;
-  // 0 = not known.
   uint64_t number_ = 0;
+  bool settled_ = false;
+  ros2::RosGraph graph_;
+  // A copy of it, made when it is asked for.
   Version version_ = {};
   // Of the graph to which writers were added.
   uint64_t base_revision_ = 0;
   Version with_added_ = {};
   size_t added_ = 0;
-  // Given last, to a graph that was made here; none that a graph in force ever has.
-  uint64_t revision_ = uint64_t{1} << 63;
+  // Given last.
+  uint64_t revision_;
 };
 
 }  // namespace rips::pipeline

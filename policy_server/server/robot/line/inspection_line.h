@@ -85,7 +85,7 @@ class InspectionLine {
   uint64_t last_ticket_ = 0;
   bool ready_ = false;
   GraphHistory history_;
-  FormerGraph former_;
+  FormerGraph former_{FormerGraph::kOfMessages};
 };
 
 }  // namespace rips::pipeline

@@ -1,0 +1,61 @@
+// Graphs that are judged after their time: what rules are run on beside the graph in force. Pure.
+//
+// A sensor that is stopped leaves the changes of its graph that no server has judged to its next
+// process. Each is an event of the rules, against a graph that is never in force. And since what
+// rules keep of who is there ("a stranger is here") is then about another graph than the one in
+// force, they are run on that again when nothing more comes late.
+#ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
+#define RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
+
+#include <string>
+#include <utility>
+
+#include "policy_server/policy/engine/evaluator.h"
+#include "policy_server/server/robot/context/context.h"
+#include "policy_server/server/robot/context/evidence_gate.h"
+#include "policy_server/server/robot/decide/decider.h"
+#include "policy_server/server/robot/line/former_graph.h"
+#include "policy_server/server/robot/sensors/sensor_host.h"
+
+namespace rips::pipeline {
+
+// Not thread-safe. All that it is given outlives it.
+class LateGraph {
+ public:
+  LateGraph(Context* context, engine::RobotState* state, EvidenceGate* gate, Decider* decider)
+      : context_(*context), state_(*state), gate_(*gate), decider_(*decider) {}
+
+  // A step of a graph of `incarnation`, which is over and was of `host`. False: it goes on from
+  // nothing that is known.
+  bool Apply(const SensorHost& host, const std::string& incarnation, const GraphChange& change);
+  // Discovery had settled in the graph that Apply has led to.
+  bool settled() const { return former_.settled(); }
+  // Runs the rules on it, as late. `event` has the time of the last step.
+  void Judge(engine::Event event);
+  // The event is held back; true once: it still is.
+  void HoldBack() { held_back_ = true; }
+  bool WasHeldBack() { return std::exchange(held_back_, false); }
+
+  // Rules were run on another graph than the one in force, and keep something of it.
+  void OnKept() { look_again_ = true; }
+  // No difference between two graphs leads from what rules were run on last to the one in force.
+  bool look_again() const { return look_again_; }
+  // Rules were run on the graph in force.
+  void OnLook(const SensorHost& host) { look_again_ &= host.HasBacklog(); }
+  // Runs the rules on the graph in force if they must look again, all that is late has been judged,
+  // and the graph is of the process that goes on.
+  void LookAgain(const SensorHost* host);
+
+ private:
+  Context& context_;
+  engine::RobotState& state_;
+  EvidenceGate& gate_;
+  Decider& decider_;
+  FormerGraph former_{FormerGraph::kOfControl};
+  bool held_back_ = false;
+  bool look_again_ = false;
+};
+
+}  // namespace rips::pipeline
+
+#endif  // RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
