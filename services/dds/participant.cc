@@ -17,6 +17,7 @@
 #include "services/base/status_macros.h"
 #include "services/dds/qos.h"
 #include "services/dds/raw_type.h"
+#include "services/dds/receiver_waker.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::dds {
@@ -131,6 +132,11 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
         entity.get());
   }
   return std::shared_ptr<const Domain>(new Domain(options.id, std::move(entity)));
+}
+
+Domain::~Domain() {
+  const ReceiverWaker waker;
+  entity_.Reset();
 }
 
 absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(

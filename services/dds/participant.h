@@ -41,6 +41,10 @@ class Domain {
  public:
   // AlreadyExists if this process has that domain already; NotFound if there is no such interface.
   static absl::StatusOr<std::shared_ptr<const Domain>> Create(const DomainOptions& options);
+  Domain(const Domain&) = delete;
+  Domain& operator=(const Domain&) = delete;
+  // Ends also where its interface has another address by now.
+  ~Domain();
 
   uint32_t id() const { return id_; }
 

@@ -1,5 +1,10 @@
 #include "services/dds/participant.h"
 
+#include <sched.h>
+#include <unistd.h>
+
+#include <cstdlib>
+
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
@@ -50,6 +55,28 @@ TEST(ParticipantTest, OnTheLoopbackInterface) {
   const auto second = Participant::Create((*first)->domain());
   ASSERT_THAT(second, IsOk());
   EXPECT_NE((*first)->guid(), (*second)->guid());
+}
+
+// In a process and a network of its own.
+[[noreturn]] void EndsAfterTheAddressHasChanged() {
+  alarm(20);
+  const auto run = [](const char* command) {
+    if (std::system(command) != 0) _exit(2);
+  };
+  if (unshare(CLONE_NEWNET) != 0) _exit(3);
+  run("ip link set lo up && ip link add eth0 type veth peer name eth1 && ip link set eth1 up && "
+      "ip addr add 10.9.8.7/24 dev eth0 && ip link set eth0 up multicast on");
+  auto participant = Participant::Create({.id = RandomDomain(), .interface = "eth0"});
+  if (!participant.ok()) _exit(4);
+  run("ip addr del 10.9.8.7/24 dev eth0 && ip addr add 10.9.8.6/24 dev eth0");
+  participant->reset();
+  _exit(0);
+}
+
+TEST(ParticipantTest, EndsAfterTheAddressOfItsInterfaceHasChanged) {
+  if (geteuid() != 0) GTEST_SKIP() << "needs root: it makes a network of its own";
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(EndsAfterTheAddressHasChanged(), testing::ExitedWithCode(0), "");
 }
 
 TEST(ParticipantTest, TheDomainEndsWithItsLastParticipant) {
