@@ -275,7 +275,10 @@ TEST_F(RipsctlTest, WaitsUntilTheRobotIsAtTheLevel) {
   EXPECT_EQ(overtaken.code, 1);
   EXPECT_THAT(overtaken.out,
               HasSubstr("r1 is not at DEFAULT: a newer decision has replaced this one: "
-                        "DEFAULT (3.19), rule rogue_cmd_vel\n"));
+                        "DEFAULT (3.19)\n"))
+      << "what is recorded is an older decision";
+  fake_.level_states = {at("verified", 17)};
+  EXPECT_THAT(Run(lower).out, HasSubstr("this one: DEFAULT (3.17), rule rogue_cmd_vel\n"));
   fake_.level_states = {at("verified", 18)};
   EXPECT_EQ(RunJson(lower)["reached"], true);
   fake_.level_states = {at("verified", 19)};
@@ -560,8 +563,10 @@ TEST_F(RipsctlTest, BansAndUnbans) {
   EXPECT_EQ(Run({"agent", "ban", uri, "--serial", "00AF", "--reason", "stolen"}).out,
             uri + " banned\n");
   EXPECT_EQ(Run({"agent", "unban", uri}).out, uri + " unbanned\n");
-  EXPECT_EQ(fake_.calls()[0], absl::StrCat("Ban ", uri, " af stolen"));
-  EXPECT_EQ(fake_.calls()[1], absl::StrCat("Unban ", uri, " "));
+  EXPECT_THAT(fake_.calls(), testing::ElementsAre(absl::StrCat("Ban ", uri, " af stolen"),
+                                                  "ListAgents", absl::StrCat("Unban ", uri, " ")));
+  EXPECT_THAT(Run({"agent", "ban", uri + "s", "--reason", "stolen"}).out,
+              HasSubstr("bases banned\nno certificate of this identity was seen"));
   EXPECT_EQ(Run({"agent", "ban", uri}).code, 2);
   EXPECT_EQ(Run({"agent", "ban", uri, "--reason", " "}).code, 2);
   fake_.failure = grpc::Status(grpc::StatusCode::PERMISSION_DENIED, "needs the role `admin`");

@@ -32,10 +32,12 @@ Awaited AwaitReached(Env& env, const std::string& robot, const v1::LevelResponse
     if (seen.ok()) {
       const v1::RobotStatus& status = seen->status();
       if (DecisionIdText(status.decision_id()) != DecisionIdText(decided.decision_id())) {
-        return {.why =
-                    absl::StrCat("a newer decision has replaced this one: ", status.decided_level(),
-                                 " (", DecisionIdText(status.decision_id()), ")",
-                                 seen->has_last() ? ", " : "", seen->last().cause())};
+        // The newest that is recorded may be an older one.
+        const std::string newest = DecisionIdText(status.decision_id());
+        const bool known = DecisionIdText(seen->last().decision_id()) == newest;
+        return {.why = absl::StrCat("a newer decision has replaced this one: ",
+                                    status.decided_level(), " (", newest, ")", known ? ", " : "",
+                                    known ? seen->last().cause() : "")};
       }
       if (status.stage() == "verified") {
         return {.reached = true,

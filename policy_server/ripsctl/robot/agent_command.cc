@@ -1,5 +1,6 @@
 // `ripsctl agent`: list, ban, unban, reset-term.
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <nlohmann/json.hpp>
 #include <string>
 
@@ -98,10 +99,23 @@ class Ban final : public CertificateCommand {
     request.set_serial(serial());
     request.set_reason(reason_);
     RIPS_RETURN_IF_ERROR(Call(env, &Stub::Ban, request).status());
-    return Print(env, "banned");
+    const ExitCode code = Print(env, "banned");
+    if (!env.json() && !MayHaveBeenSeen(env)) {
+      env.out << "no certificate of this identity was seen since the server started: is it one of "
+                 "`ripsctl agent list`?\n";
+    }
+    return code;
   }
 
  private:
+  // One that was not may be banned, too; but it may also be a slip.
+  bool MayHaveBeenSeen(Env& env) const {
+    const auto known = Call(env, &Stub::ListAgents, v1::ListAgentsRequest());
+    return !known.ok() ||
+           std::any_of(known->agents().begin(), known->agents().end(),
+                       [this](const v1::AgentCertificate& each) { return each.uri() == uri_; });
+  }
+
   std::string reason_;
 };
 
