@@ -246,7 +246,8 @@ sed -e 's/policy.example/127.0.0.1/' -e 's/interface: eth0/interface: lo/' \\
 """)
     machine.path("/etc/rips/actuator.yaml").write_text(ACTUATOR)
     # `enable --now` returns when they have notified that they are ready.
-    machine.script("systemctl enable --now rips-sensor rips-exec.socket rips-actuator")
+    machine.script("systemctl enable --now rips-sensor rips-actuator")
+    machine.script("systemctl is-active rips-exec.socket rips-fw.socket")  # the actuator wants them
     for unit in ("rips-sensor", "rips-actuator"):
         machine.await_status(unit, "not connected")
         check(machine.show(unit, "NRestarts") == "0", machine.status(unit))
