@@ -47,6 +47,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
+#include "sensor_agent/findings/findings_options.h"
 #include "sensor_agent/graph/graph_builder.h"
 #include "sensor_agent/outbox/observation.h"
 #include "services/ros2/guid.h"
@@ -56,28 +57,6 @@ namespace rips::sensor {
 
 // Bytes of Finding::detail.
 inline constexpr size_t kFindingDetailBytesMax = 512;
-
-struct FindingsOptions {
-  // This sensor's participant.
-  ros2::Guid own;
-  // It uses DDS Security, and the domain's governance admits nobody without it.
-  bool secured = false;
-  // ROS topics that programs without a node may read.
-  std::vector<std::string> raw_readers;
-  int64_t foreign_grace_ns = 5'000'000'000;
-  // Above the longest usual lease, 10 s with Cyclone DDS.
-  int64_t rival_grace_ns = 15'000'000'000;
-  int64_t slow_node_ns = 5'000'000'000;
-  // Above that, too: the middleware believes no farewell of a participant that has not
-  // authenticated, and who came and left within the handshake is nobody's finding.
-  int64_t handshake_ns = 15'000'000'000;
-  // A refused claim whose participant the graph does not show is forgotten then.
-  int64_t orphan_claim_ns = 30'000'000'000;
-  // Findings of one kind that are held, told or not. Further ones are counted in dropped().
-  size_t findings_max = 256;
-  // Of one kind in a minute, those that stand first. Then the rest; of what has gone, the number.
-  size_t told_per_minute = 30;
-};
 
 // Not thread-safe; no clock: times are CLOCK_BOOTTIME in nanoseconds and never go back.
 class Findings {

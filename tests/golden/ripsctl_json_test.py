@@ -81,6 +81,8 @@ class Schemas:
 
     def resolved(self, file):
         self.used.add(file)
+        if file not in self.raw:
+            sys.exit(f"there is no {SCHEMAS.relative_to(SOURCE)}/{file}")
         return self.inlined({key: value for key, value in self.raw[file].items()
                              if key not in ("$id", "title", "description")})
 
