@@ -432,14 +432,6 @@ TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
   }
 }
 
-TEST_F(RipsctlTest, AnOlderServerIsNamed) {
-  fake_.failure = grpc::Status(grpc::StatusCode::UNIMPLEMENTED, "");
-  const Result result = Run({"robot", "receipts", "r1"});
-  EXPECT_EQ(result.code, 1);
-  EXPECT_EQ(result.err,
-            "error: the policy server does not know this call; is it older than this ripsctl?\n");
-}
-
 TEST_F(RipsctlTest, WrongFlagsAreExitCodeTwoAndCallNobody) {
   const std::string long_reason(1'001, 'x');
   const std::vector<std::vector<std::string>> all = {

@@ -44,6 +44,12 @@ const BacklogQueue* Backlog::FrontQueue(Lane lane) const {
   return nullptr;
 }
 
+bool Backlog::HasUnsent(Lane lane) const {
+  return std::any_of(queues_.begin(), queues_.end(), [lane](const BacklogQueue& each) {
+    return each.stream().lane == lane && each.sent() < each.entries().size();
+  });
+}
+
 size_t Backlog::UnwrittenBytes() const {
   size_t bytes = 0;
   for (const BacklogQueue& each : queues_) bytes += each.unwritten_bytes();

@@ -111,6 +111,8 @@ class Backlog {
   // A new connection: everything is unsent again. What to announce; none of it is sent before its
   // first acknowledgement.
   std::vector<BacklogRange> Rewind();
+  // Of the lane, whether it may be sent already or not.
+  bool HasUnsent(Lane lane) const;
   // The oldest unsent batch of the lane, if it is in memory; nullopt until it was read otherwise.
   std::optional<BacklogBatch> Front(Lane lane) const;
   // Front(stream.lane) has gone out.

@@ -427,8 +427,12 @@ void Outbox::DropGraph(int64_t now_ns) {
 
 void Outbox::CloseGraph(int64_t now_ns) {
   if (std::none_of(control_.entries.begin(), control_.entries.end(), IsGraph)) return;
-  if (GraphStartsWithSnapshot() || StartGraphWithSnapshot(now_ns)) return;
-  DropGraph(now_ns);
+  if (GraphStartsWithSnapshot()) return;
+  if (!StartGraphWithSnapshot(now_ns)) return DropGraph(now_ns);
+  const auto first = std::find_if(control_.entries.begin(), control_.entries.end(), IsGraph);
+  if (first - control_.entries.begin() < static_cast<ptrdiff_t>(control_.numbered)) return;
+  // A server has judged what it shows: rules are run on the steps after it.
+  std::get<GraphChange>(first->what).settled = false;
 }
 
 void Outbox::ReplaceGraph(std::vector<GraphChange> snapshot, int64_t now_ns) {

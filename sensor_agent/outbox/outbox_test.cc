@@ -551,6 +551,8 @@ TEST_F(OutboxTest, StepsThatNoServerHasAreLeftToTheNextProcess) {
   EXPECT_THAT(UnsentControl(), ElementsAre("2:graph 0-1", "3:graph 1-2", "4:graph 2-3"));
   EXPECT_EQ(outbox_.UnsentControl(0).boottime_ns, taken_ns)
       << "a server takes several changes of one time for one";
+  EXPECT_FALSE(std::get<GraphChange>(outbox_.UnsentControl(0).what).settled)
+      << "what it shows is not judged again";
   outbox_.CloseGraph(taken_ns + 100 * kMs);
   EXPECT_THAT(UnsentControl(), SizeIs(3)) << "once";
 }

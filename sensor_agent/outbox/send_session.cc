@@ -9,6 +9,9 @@ namespace rips::sensor {
 
 namespace {
 
+// What was left of the control lane goes ahead of what is live if it is read in this time after the
+// stream has begun: who came and left before is told of first.
+constexpr int64_t kBacklogFirstNs = 500 * kNanosPerMilli;
 // A full line is tried again after this.
 constexpr int64_t kLineRetryNs = 10 * kNanosPerMilli;
 
@@ -40,7 +43,9 @@ std::optional<UplinkAction> SendSession::Next(int64_t now_ns) {
         turn_ = Kind::kMessages;
         break;
       case Kind::kMessages:
-        if (!upload_.has_value() && IsDue(Lane::kMessages, now_ns)) action = NextMessages(now_ns);
+        if (!upload_.has_value() && LiveDue(Lane::kMessages, now_ns) == now_ns) {
+          action = NextMessages(now_ns);
+        }
         if (action.has_value()) return action;
         turn_ = Kind::kBacklog;
         if (!progress_ && !upload_.has_value()) return std::nullopt;
@@ -49,12 +54,17 @@ std::optional<UplinkAction> SendSession::Next(int64_t now_ns) {
   }
 }
 
-bool SendSession::IsDue(Lane lane, int64_t now_ns) const {
-  return kept_.outbox.DueAt(lane, kept_.policy, last_batch_ns_[Index(lane)], now_ns) == now_ns;
+std::optional<int64_t> SendSession::LiveDue(Lane lane, int64_t now_ns) const {
+  std::optional<int64_t> due =
+      kept_.outbox.DueAt(lane, kept_.policy, last_batch_ns_[Index(lane)], now_ns);
+  if (due.has_value() && lane == Lane::kControl && kept_.backlog.HasUnsent(lane)) {
+    due = std::max(*due, began_ns_ + kBacklogFirstNs);
+  }
+  return due;
 }
 
 std::optional<UplinkAction> SendSession::NextControl(int64_t now_ns) {
-  if (!IsDue(Lane::kControl, now_ns)) return std::nullopt;
+  if (LiveDue(Lane::kControl, now_ns) != now_ns) return std::nullopt;
   kept_.outbox.FlushMerged(now_ns);
   const size_t count = planner_.Plan(kept_.outbox, Lane::kControl, kept_.policy, 0);
   if (count == 0) return std::nullopt;
@@ -278,9 +288,9 @@ int64_t SendSession::NextDue(int64_t now_ns) const {
     include(std::max(now_ns, upload_->until_ns));
   }
   include(BacklogDue(now_ns));
-  include(kept_.outbox.DueAt(Lane::kControl, kept_.policy, last_batch_ns_[0], now_ns));
+  include(LiveDue(Lane::kControl, now_ns));
   if (!upload_.has_value() && exhausted_at_ != messages.granted) {
-    include(kept_.outbox.DueAt(Lane::kMessages, kept_.policy, last_batch_ns_[1], now_ns));
+    include(LiveDue(Lane::kMessages, now_ns));
   }
   return due_ns;
 }

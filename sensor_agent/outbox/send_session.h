@@ -81,7 +81,8 @@ class SendSession {
  private:
   enum class Kind { kBacklog, kControl, kMessages };
 
-  bool IsDue(Lane lane, int64_t now_ns) const;
+  // When the next live batch of the lane should go; nullopt = there is none.
+  std::optional<int64_t> LiveDue(Lane lane, int64_t now_ns) const;
   std::optional<UplinkAction> NextControl(int64_t now_ns);
   std::optional<UplinkAction> NextMessages(int64_t now_ns);
   std::optional<UplinkAction> NextUploaded(int64_t now_ns);

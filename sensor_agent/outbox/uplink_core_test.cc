@@ -17,6 +17,7 @@ using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::Not;
+using ::testing::StartsWith;
 
 const std::string kLive(16, 'l');
 const std::string kAside(16, 'a');
@@ -177,6 +178,28 @@ TEST_F(UplinkCoreTest, NothingButHeartbeatsGoesUntilTheServerHasSaidAll) {
   Ack(Lane::kMessages, 0);
   EXPECT_EQ(core_.phase(), UplinkCore::Phase::kStreaming);
   EXPECT_THAT(Sent(), ElementsAre("c1+1", "m1+2"));
+}
+
+TEST_F(UplinkCoreTest, WhatIsLeftOfControlGoesBeforeWhatIsLiveIfItIsReadSoon) {
+  const StreamKey left{.incarnation = "of another life!", .lane = Lane::kControl};
+  On(Recovered{.records = {{.stream = left, .count = 2, .bytes = 10}}});
+  Settle();
+  Stream();
+  EXPECT_THAT(Sent(100), IsEmpty()) << "the server has not said that it awaits it";
+  Ack(Lane::kControl, 0, left.incarnation);
+  EXPECT_THAT(Sent(100), IsEmpty());
+  On(SpoolReadBack{.stream = left, .first_sequence = 1, .bytes = "b"});
+  EXPECT_THAT(Sent(100), ElementsAre("b1+2", StartsWith("c1+")));
+}
+
+TEST_F(UplinkCoreTest, ADiskThatTakesItsTimeDoesNotHoldBackWhatIsLive) {
+  const StreamKey left{.incarnation = "of another life!", .lane = Lane::kControl};
+  On(Recovered{.records = {{.stream = left, .count = 2, .bytes = 10}}});
+  Settle();
+  Stream();
+  Ack(Lane::kControl, 0, left.incarnation);
+  EXPECT_THAT(Sent(450), IsEmpty());
+  EXPECT_THAT(Sent(100), ElementsAre(StartsWith("c1+")));
 }
 
 TEST_F(UplinkCoreTest, HeartbeatsGoAsOftenAsTheServerOfThisStreamSays) {

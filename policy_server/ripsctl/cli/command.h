@@ -8,8 +8,10 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/match.h"
 #include "absl/strings/string_view.h"
 #include "absl/time/clock.h"
+#include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/env.h"
 #include "services/rpc/status_conversion.h"
 
@@ -82,18 +84,28 @@ absl::Status CheckRobot(absl::string_view robot);
 // OK for 1 to 1,000 bytes of UTF-8 with something in them.
 absl::Status CheckReason(absl::string_view reason);
 
+// A call that is refused as one too many is made again after this, as long as env's timeout goes.
+inline constexpr absl::Duration kCallAgain = absl::Milliseconds(250);
+
 // One call with env's timeout, for example Call(env, &Stub::GetLevel, request).
 template <typename Request, typename Response>
 absl::StatusOr<Response> Call(Env& env,
                               grpc::Status (v1::OperatorService::StubInterface::*method)(
                                   grpc::ClientContext*, const Request&, Response*),
                               const Request& request) {
-  grpc::ClientContext context;
-  context.set_deadline(absl::ToChronoTime(absl::Now() + env.timeout));
-  Response response;
-  const grpc::Status status = (env.server->*method)(&context, request, &response);
-  if (!status.ok()) return rpc::FromGrpc(status);
-  return response;
+  const absl::Time end = absl::Now() + env.timeout;
+  while (true) {
+    grpc::ClientContext context;
+    context.set_deadline(absl::ToChronoTime(end));
+    Response response;
+    const grpc::Status status = (env.server->*method)(&context, request, &response);
+    if (status.ok()) return response;
+    const bool again = status.error_code() == grpc::StatusCode::RESOURCE_EXHAUSTED &&
+                       absl::StartsWith(status.error_message(), rpc::kCalledTooOften) &&
+                       absl::Now() + kCallAgain < end;
+    if (!again) return rpc::FromGrpc(status);
+    absl::SleepFor(kCallAgain);
+  }
 }
 
 using Stub = v1::OperatorService::StubInterface;

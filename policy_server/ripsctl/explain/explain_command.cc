@@ -76,9 +76,10 @@ std::optional<Lowering> TryLowering(Env& env, const v1::GetLevelResponse& now) {
 }
 
 // What had raised the robot to the level that `change` left, or above it, by the newest changes on
-// record; none if that was the lowest.
+// record; none if that was the lowest. `between`: the change before `change`, if that is another.
 std::optional<v1::Transition> FindRaise(Env& env, const v1::Transition& change,
-                                        const v1::GetLevelResponse& now) {
+                                        const v1::GetLevelResponse& now,
+                                        std::optional<v1::Transition>& between) {
   const auto height = [&](const std::string& level) {
     return std::find(now.levels().begin(), now.levels().end(), level) - now.levels().begin();
   };
@@ -93,6 +94,7 @@ std::optional<v1::Transition> FindRaise(Env& env, const v1::Transition& change,
         height(each.to()) > height(each.from())) {
       return each;
     }
+    if (before && !each.refused() && !between.has_value()) between = each;
     before = before || each.id() == change.id();
   }
   return std::nullopt;
@@ -235,7 +237,9 @@ class Explain final : public Command {
     if (!explanation.now.has_value() || !explanation.now->ok()) return;
     AddFindings(env, (*explanation.now)->status().robot(), explanation);
     if (recorded.has_transition()) {
-      if (auto raise = FindRaise(env, recorded.transition(), **explanation.now)) {
+      std::optional<v1::Transition> between;
+      if (auto raise = FindRaise(env, recorded.transition(), **explanation.now, between)) {
+        explanation.between = std::move(between);
         v1::ExplainRequest request;
         request.set_id(raise->id());
         const absl::StatusOr<Explanation> asked = Ask(env, request);

@@ -78,6 +78,8 @@ TEST_F(ExplainTest, ALoweringLeadsToWhatHadRaisedTheRobot) {
     EXPECT_EQ(RunJson({"explain", each.id()})["raised_before_subjects"][0]["name"], "/intruder");
     EXPECT_EQ(RunJson({"explain", each.id()})["raised_before_by"]["id"], std::string(32, '1'));
   }
+  EXPECT_THAT(Run({"explain", std::string(32, '5')}).out,
+              HasSubstr("\nbefore that, r1 went from COMPROMISED to ALERT at "));
   EXPECT_TRUE(RunJson({"explain", "11111111"})["raised_before_by"].is_null())
       << "there is no older one";
 }

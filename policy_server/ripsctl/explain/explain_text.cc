@@ -131,9 +131,9 @@ std::string RuleOf(const v1::ExplainResponse& recorded) {
 std::string RaisersText(const Explanation& explanation) {
   constexpr int kRaisersShown = 3;
   const auto& raisers = SubjectsOf(*explanation.raised);
-  std::set<std::string> addresses;
-  for (const v1::Subject& each : SubjectsOf(explanation.recorded)) addresses.insert(each.address());
-  addresses.erase("");
+  std::set<std::string> below;
+  for (const v1::Subject& each : SubjectsOf(explanation.recorded)) below.insert(each.guid());
+  below.erase("");
   std::vector<std::string> names;
   for (const v1::Subject& each : raisers) {
     if (names.size() == kRaisersShown) {
@@ -142,7 +142,7 @@ std::string RaisersText(const Explanation& explanation) {
     }
     std::string name = EscapeText(each.name());
     if (!each.address().empty()) absl::StrAppend(&name, " at ", EscapeText(each.address()));
-    if (addresses.contains(each.address())) name += ", as below";
+    if (below.contains(each.guid())) name += ", as below";
     names.push_back(std::move(name));
   }
   return names.empty() ? "" : absl::StrCat("  who: ", absl::StrJoin(names, "; "), "\n");
@@ -238,6 +238,29 @@ const char* PresenceText(Presence presence) {
   return "not known";
 }
 
+// Why something that is there may be missing from the graph; empty if all is seen.
+std::string UnseenBecause(const Explanation& explanation) {
+  if (!explanation.graph.has_value()) return "the graph is not known";
+  if (!explanation.graph->ok()) return std::string(explanation.graph->status().message());
+  const v1::GetGraphResponse& graph = **explanation.graph;
+  if (!graph.graph().settled()) return "the graph has not settled";
+  if (graph.graph().has_truncation() || graph.left_out() > 0) {
+    return "the graph is larger than what is kept of it";
+  }
+  if (explanation.lowering.has_value() && explanation.lowering->found.ok() &&
+      !explanation.lowering->found->blind_because().empty()) {
+    return absl::StrJoin(explanation.lowering->found->blind_because(), "; ");
+  }
+  if (!explanation.now.has_value()) return "the robot's state is not known";
+  if (!explanation.now->ok()) return std::string(explanation.now->status().message());
+  const v1::RobotStatus& status = (*explanation.now)->status();
+  // A sensor that is away shows here.
+  if (!status.degraded().empty()) return absl::StrJoin(status.degraded(), "; ");
+  // Until the level is read back, an actuator may be setting a firewall that it has not told of.
+  const bool told = !(*explanation.now)->firewalls().empty() || status.stage() == "verified";
+  return told ? "" : "the level is not read back, and a firewall may be on its way";
+}
+
 void PrintWho(const Explanation& explanation, std::ostream& out) {
   const v1::ExplainResponse& recorded = explanation.recorded;
   const auto& subjects = SubjectsOf(recorded);
@@ -264,6 +287,10 @@ void PrintWho(const Explanation& explanation, std::ostream& out) {
     if (any(Presence::kGone)) {
       out << "  gone: not in the robot's graph, and no actuator says that a firewall hides it\n";
     }
+    const bool unknown = std::any_of(subjects.begin(), subjects.end(), [&](const auto& each) {
+      return !each.guid().empty() && PresenceOf(each, explanation) == Presence::kUnknown;
+    });
+    if (unknown) out << "  not known: " << EscapeText(UnseenBecause(explanation)) << "\n";
   }
   if (recorded.evidence().cut()) out << "  there were more values or subjects than are kept\n";
 }
@@ -388,21 +415,6 @@ void PrintRecording(const v1::Alert& alert, std::ostream& out) {
       << " --out FILE\n";
 }
 
-// All that is there is in the graph.
-bool SeesAll(const Explanation& explanation) {
-  const v1::GetGraphResponse& graph = **explanation.graph;
-  if (!graph.graph().settled() || graph.graph().has_truncation() || graph.left_out() > 0) {
-    return false;
-  }
-  if (explanation.lowering.has_value() && explanation.lowering->found.ok() &&
-      !explanation.lowering->found->blind_because().empty()) {
-    return false;
-  }
-  // A sensor that is away shows here.
-  return explanation.now.has_value() && explanation.now->ok() &&
-         (*explanation.now)->status().degraded().empty();
-}
-
 }  // namespace
 
 const google::protobuf::RepeatedPtrField<v1::Subject>& SubjectsOf(
@@ -422,11 +434,8 @@ Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation) 
   const bool there = std::any_of(graph.endpoints().begin(), graph.endpoints().end(), is_it) ||
                      std::any_of(graph.participants().begin(), graph.participants().end(), is_it);
   if (there) return Presence::kThere;
-  if (!SeesAll(explanation)) return Presence::kUnknown;
-  const v1::GetLevelResponse& now = **explanation.now;
-  if (!now.firewalls().empty()) return Presence::kKeptOut;
-  // Until the level is read back, an actuator may be setting a firewall that it has not told of.
-  return now.status().stage() == "verified" ? Presence::kGone : Presence::kUnknown;
+  if (!UnseenBecause(explanation).empty()) return Presence::kUnknown;
+  return (*explanation.now)->firewalls().empty() ? Presence::kGone : Presence::kKeptOut;
 }
 
 std::string PieceText(absl::string_view condition, uint32_t offset, uint32_t length,
@@ -485,6 +494,9 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
       out << "acknowledged " << AckText(recorded.alert().acknowledged()) << "\n";
     }
     if (explanation.raised.has_value()) {
+      if (explanation.between.has_value()) {
+        out << "before that, " << TransitionLine(*explanation.between) << "\n";
+      }
       out << "before that, " << TransitionLine(explanation.raised->transition()) << "\n"
           << RaisersText(explanation) << "  why: ripsctl explain "
           << EscapeText(ShortId(explanation.raised->transition().id())) << "\n";

@@ -29,6 +29,8 @@ struct Explanation {
   // What had raised the robot to the level that `recorded` left, without evidence if that is not
   // known; unset if that was the lowest, or if nothing is known of it.
   std::optional<v1::ExplainResponse> raised;
+  // The change before `recorded`, if `raised` is an older one.
+  std::optional<v1::Transition> between;
   // Unset at the lowest level.
   std::optional<Lowering> lowering;
   // Of the robot now; unset if no subject has a GUID.

@@ -154,9 +154,11 @@ TEST(ExplainTextTest, SaysWhetherWhoItWasIsStillThereAndNothingThatItCannotKnow)
   explanation.lowering->found->clear_blind_because();
   (*explanation.now)->mutable_status()->add_degraded("sensor base lost");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown);
+  EXPECT_THAT(Print(explanation), HasSubstr("\n  not known: sensor base lost\n"));
   (*explanation.now)->mutable_status()->clear_degraded();
   (*explanation.now)->mutable_status()->set_stage("acknowledged");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kUnknown) << "a firewall may be on its way";
+  EXPECT_THAT(Print(explanation), HasSubstr("\n  not known: the level is not read back, and"));
   (*explanation.now)->mutable_status()->set_stage("verified");
   EXPECT_EQ(PresenceOf(who, explanation), Presence::kGone);
   (*explanation.now)->add_firewalls()->set_host("base");
@@ -181,6 +183,19 @@ TEST(ExplainTextTest, OfALoweringNamesWhatHadRaisedTheRobot) {
                         "  why: ripsctl explain "));
 }
 
+TEST(ExplainTextTest, LeavesOutNoChangeBetweenTwoRaises) {
+  v1::Transition lowered = MakeTransition();
+  lowered.set_from("COMPROMISED");
+  lowered.set_to("ALERT");
+  lowered.set_cause("operator carol");
+  EXPECT_THAT(Print({.recorded = OfTransition(MakeTransition()),
+                     .raised = OfTransition(MakeTransition()),
+                     .between = lowered}),
+              HasSubstr("\nbefore that, r1 went from COMPROMISED to ALERT at "
+                        "2026-01-01T00:00:00.000Z (decision 3.17), by operator carol\n"
+                        "before that, r1 went from ALERT to COMPROMISED at "));
+}
+
 TEST(ExplainTextTest, NamesWhoHadRaisedTheRobotBefore) {
   v1::ExplainResponse raised = OfTransition(MakeTransition());
   *raised.mutable_evidence() = MakeEvidence();
@@ -195,6 +210,7 @@ TEST(ExplainTextTest, NamesWhoHadRaisedTheRobotBefore) {
   }
   raised.mutable_evidence()->mutable_subjects(1)->set_name("/\x1b[2J");
   raised.mutable_evidence()->mutable_subjects(1)->clear_address();
+  raised.mutable_evidence()->mutable_subjects(1)->clear_guid();
   EXPECT_THAT(Print({.recorded = recorded, .raised = raised}),
               HasSubstr("at 10.0.0.66, as below; /\\x1b[2J; /intruder at 10.0.0.66, as below; "
                         "and 2 more\n"));

@@ -4,6 +4,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "services/rpc/status_conversion.h"
 
 namespace rips::operator_api {
 namespace {
@@ -52,9 +53,8 @@ absl::Status CallerQuota::Admit(Accounts& accounts, bool privileged, Use use, do
                      "; try again later"));
   }
   if (account.tokens < weight) {
-    return absl::ResourceExhaustedError(absl::StrCat("this certificate began more than ",
-                                                     rate.per_second, " ", NameOf(use),
-                                                     " a second; try again later"));
+    return absl::ResourceExhaustedError(absl::StrCat(rpc::kCalledTooOften, rate.per_second, " ",
+                                                     NameOf(use), " a second; try again later"));
   }
   if (rate.reserve > 0 && account.reserve < weight) {
     return absl::ResourceExhaustedError(absl::StrCat(

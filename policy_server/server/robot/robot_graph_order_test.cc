@@ -118,7 +118,8 @@ class GraphOrderTest : public RobotTest {
             .lane = Lane::kControl,
             .first_sequence = 1,
             .observations = {{.boottime_ns = Boottime(),
-                              .what = GraphChange{.to_version = 1, .settled = true, .delta = graph}}},
+                              .what =
+                                  GraphChange{.to_version = 1, .settled = true, .delta = graph}}},
             .bytes = 100}));
     Drain();
   }
@@ -275,7 +276,9 @@ TEST_F(GraphOrderTest, WhoCameAndWentBeforeTheSensorWasStartedAnewIsTold) {
   SendFormerSteps(1, {NormalThen(7), IntruderJoins(7)});
   EXPECT_EQ(Level(), "ALERT");
   ASSERT_EQ(audience_.Count("unknown node"), 1);
-  EXPECT_THAT(audience_.alerts.back().event, AllOf(HasSubstr(", taken at 20"), HasSubstr("it came late")));
+  EXPECT_THAT(recorder_.decisions.back().reason, HasSubstr("graph change, taken at 20"));
+  EXPECT_THAT(audience_.alerts.back().event,
+              AllOf(HasSubstr(", taken at 20"), HasSubstr("it came late")));
   EXPECT_EQ(robot_->core().graph().nodes().size(), 2u) << "it is not in force";
   Pass(60'000);
   EXPECT_EQ(Level(), "ALERT") << "the rest of the backlog has not come";
@@ -336,7 +339,8 @@ levels:
 vars:
   driver bool = false;
 rules Graph:
-  gone: topicpublishersinclude("/cmd_vel", "/navigator") && driver ? set(driver, false);
+  gone: topicpublishersinclude("/cmd_vel", "/navigator") && driver ?
+    set(driver, false) => alert("gone", "info");
 rules Msg:
   rogue: topicin("/cmd_vel") && !publishers("/navigator") ?
     set(driver, true) => alert("rogue cmd_vel", "critical");
@@ -351,10 +355,35 @@ rules External:
   gone.gone_guids = {Participant(3)};
   SendDelta(std::move(gone));
   SendBatch(Lane::kMessages, {Drive(3, 2), Drive(3, 2)});
-  Pass(100);
+  Pass(1'100);
   EXPECT_EQ(audience_.Count("rogue"), 2);
   EXPECT_THAT(recorder_.variables, Contains(Pair("driver", lang::Value(false))))
       << "it has gone, and no graph comes that would say so";
+  EXPECT_EQ(audience_.Count("gone"), 1);
+
+  for (int i = 0; i < 3; ++i) {
+    SendBatch(Lane::kMessages, {Drive(3, 2)});
+    Pass(300);
+  }
+  EXPECT_EQ(audience_.Count("gone"), 1);
+  Pass(500);
+  EXPECT_EQ(audience_.Count("rogue"), 5);
+  EXPECT_EQ(audience_.Count("gone"), 2) << "not after each batch";
+}
+
+TEST_F(GraphOrderTest, AProcessThatComesBackAfterAnotherIsAskedForItsGraph) {
+  Start();
+  Arm();
+  robot_->OnSensorGone("base", sensor_.get());
+  const auto thief = std::make_shared<FakeSensor>();
+  robot_->OnSensorHello("base", thief, {.incarnation = "a stolen key too", .clock = clock_.Now()});
+  robot_->OnSensorGone("base", thief.get());
+  Drain();
+  ConnectSensor();
+  EXPECT_TRUE(sensor_->setup.want_snapshot) << "it is not settled, and may never change";
+  SendSnapshot();
+  IntruderAppears();
+  EXPECT_EQ(Level(), "ALERT") << "what it sees is judged";
 }
 
 TEST_F(GraphOrderTest, OnlyWhatIsBehindAWaitingMessageWaitsWithIt) {

@@ -469,6 +469,9 @@ TEST_F(RobotTest, AManagerThatDoesNothingEndsAsFailedAndTheDecisionStands) {
   Pass(6'000);
   EXPECT_EQ(actuator_->commands.size(), before + 1) << "it is tried again";
   EXPECT_EQ(audience_.Count("was not reached"), 1) << "and told once";
+  EXPECT_EQ(audience_.Count("is reached now"), 0);
+  Obey();
+  EXPECT_EQ(audience_.Count("level ALERT is reached now, and verified"), 1);
 }
 
 TEST_F(RobotTest, ResendsACommandUntilItIsAcknowledged) {
@@ -589,6 +592,22 @@ TEST_F(RobotTest, AFloorThatLiftsIsNotDrift) {
 
   EXPECT_EQ(Stage(), "verified");
   EXPECT_EQ(audience_.Count("no longer is at"), 0);
+}
+
+TEST_F(RobotTest, AnActuatorThatComesBackAtAFloorIsNotDrift) {
+  Start();
+  Arm();
+  robot_->OnActuatorGone("base", actuator_.get());
+  Drain();
+  actuator_heartbeats_ = false;
+  Pass(100);
+  ConnectActuator({.effective_level = "ALERT"});
+  actuator_heartbeats_ = true;
+  effective_ = "ALERT";
+  floor_ = "lease expired";
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("holds r1 at ALERT by itself: lease expired"), 1);
+  EXPECT_EQ(audience_.Count("no longer is at"), 0) << "its cable was cut";
 }
 
 TEST_F(RobotTest, OperatorMustHaveSeenTheNewestDecision) {

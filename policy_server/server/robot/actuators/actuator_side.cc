@@ -190,8 +190,9 @@ std::optional<FoundLevel> ActuatorSide::OnHeartbeat(const input::ActuatorHeartbe
   const ActuatorHeartbeat& heartbeat = in.heartbeat;
   Host& host = it->second;
   Session& session = *host.session;
-  // On its way because a floor was raised or lifted: not drift.
-  const bool moving = session.heartbeat.effective_level != heartbeat.effective_level ||
+  // At a floor, or on its way because one was raised or lifted: not drift.
+  const bool moving = !heartbeat.floor_reason.empty() ||
+                      session.heartbeat.effective_level != heartbeat.effective_level ||
                       session.heartbeat.floor_reason != heartbeat.floor_reason;
   session.heard_ns = context_.now_ns();
   session.peer_boottime_ns = heartbeat.boottime_ns;
@@ -387,6 +388,11 @@ engine::Actuation ActuatorSide::UpdateStage() {
       outbox_.AddStage({.decision_id = reconciler_.decision_id(),
                         .stage = std::string(ToString(stage)),
                         .detail = reconciler_.failure()});
+    }
+    if (stage == Stage::kVerified && newest_.failure_reported &&
+        !std::exchange(newest_.recovery_reported, true)) {
+      alerts_.Raise(engine::Severity::kInfo, absl::StrCat("level ", reconciler_.level_name(),
+                                                          " is reached now, and verified"));
     }
     if (stage == Stage::kFailed && !std::exchange(newest_.failure_reported, true)) {
       alerts_.Raise(engine::Severity::kCritical,

@@ -129,6 +129,7 @@ class ActuatorSide {
     // Every actuator has read it back, some time.
     bool reached = false;
     bool failure_reported = false;
+    bool recovery_reported = false;
     bool absence_reported = false;
   };
 

@@ -38,6 +38,11 @@ void Judge::Clear() {
   messages_.Clear();
 }
 
+void Judge::OnTime() {
+  messages_.Expire(parts_.sensors.HasBacklog());
+  late_.LookAgain(parts_.sensors.Listed(parts_.context.config.primary_sensor));
+}
+
 void Judge::Advance() {
   if (has_control()) return AdvanceControl();
   if (has_messages()) AdvanceMessages();
@@ -60,7 +65,6 @@ void Judge::AdvanceControl() {
   } else if (merged && listed != nullptr && listed->settled) {
     OnGraph(*listed, *std::move(merged), nullptr);
   }
-  late_.LookAgain(listed);
 }
 
 void Judge::AdvanceMessages() {
@@ -74,7 +78,6 @@ void Judge::AdvanceMessages() {
   }
   if (host != nullptr && !first.whole()) return;
   messages_.Pop();
-  late_.LookAgain(host);
 }
 
 void Judge::JudgePiece(SensorHost& host, const Piece& piece) {

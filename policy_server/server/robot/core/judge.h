@@ -63,8 +63,9 @@ class Judge {
   bool has_messages() const { return messages_.ready(); }
   // Judges one piece: of control if there is any, else of messages.
   void Advance();
-  // Graphs of the past that no message names any more are dropped.
-  void ExpireGraphs() { messages_.Expire(parts_.sensors.HasBacklog()); }
+  // Graphs of the past that no message names any more are dropped; rules are run on the one in
+  // force if they were run on a former one. Call it often.
+  void OnTime();
   // When the graph in force was taken.
   int64_t graph_changed_unix_ns() const { return graph_changed_unix_ns_; }
 

@@ -20,17 +20,22 @@ void LateGraph::Judge(engine::Event event) {
   event.lateness = levels::Lateness::kLate;
   const engine::CurrentGraph::Version in_force = state_.graph.version();
   state_.graph.Show(*former);
-  decider_.Run(
-      event, {.batch = nullptr,
-              .remark = " (it came late: the sensor was stopped before a server had judged it)"});
+  decider_.Run(event,
+               {.batch = nullptr,
+                .remark = " (it came late: the sensor was stopped before a server had judged it)"});
   state_.graph.Show(in_force);
-  look_again_ = true;
+  OnKept();
+}
+
+void LateGraph::OnKept() {
+  if (!kept_ns_) kept_ns_ = context_.now_ns();
 }
 
 void LateGraph::LookAgain(const SensorHost* host) {
-  if (!look_again_ || host == nullptr || !host->session || host->HasBacklog()) return;
+  if (!kept_ns_ || host == nullptr || !host->session || host->HasBacklog()) return;
   if (!host->settled || host->graph_incarnation != host->session->incarnation) return;
-  look_again_ = false;
+  if (context_.now_ns() - *kept_ns_ < kNanosPerSecond) return;
+  kept_ns_.reset();
   decider_.Run({.what = engine::GraphEvent{}, .time_unix_ns = context_.now().unix_ns});
 }
 

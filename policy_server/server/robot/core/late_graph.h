@@ -7,6 +7,8 @@
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
 
+#include <cstdint>
+#include <optional>
 #include <string>
 #include <utility>
 
@@ -37,13 +39,16 @@ class LateGraph {
   bool WasHeldBack() { return std::exchange(held_back_, false); }
 
   // Rules were run on another graph than the one in force, and keep something of it.
-  void OnKept() { look_again_ = true; }
+  void OnKept();
   // No difference between two graphs leads from what rules were run on last to the one in force.
-  bool look_again() const { return look_again_; }
+  bool look_again() const { return kept_ns_.has_value(); }
   // Rules were run on the graph in force.
-  void OnLook(const SensorHost& host) { look_again_ &= host.HasBacklog(); }
+  void OnLook(const SensorHost& host) {
+    if (!host.HasBacklog()) kept_ns_.reset();
+  }
   // Runs the rules on the graph in force if they must look again, all that is late has been judged,
-  // and the graph is of the process that goes on.
+  // and the graph is of the process that goes on. A second after they were run on the other, since
+  // more of that time may come: rules would tell the same again and again.
   void LookAgain(const SensorHost* host);
 
  private:
@@ -53,7 +58,8 @@ class LateGraph {
   Decider& decider_;
   FormerGraph former_{FormerGraph::kOfControl};
   bool held_back_ = false;
-  bool look_again_ = false;
+  // Since when they must look again.
+  std::optional<int64_t> kept_ns_;
 };
 
 }  // namespace rips::pipeline

@@ -341,8 +341,8 @@ RobotCore::After RobotCore::OnTime() {
   orders_.approvals().Expire();
   sight_.Update();
   judge_.Wake();
-  judge_.ExpireGraphs();
   evidence_.Update();
+  judge_.OnTime();
   const bool heartbeat = context_.now_ns() >= next_heartbeat_ns_;
   if (heartbeat) {
     next_heartbeat_ns_ = context_.now_ns() + context_.timing.heartbeat_ns;

@@ -112,8 +112,10 @@ bool Decider::Run(const engine::Event& event, const Source& source) {
   const engine::Outcome outcome = engine::Evaluate(event, context_.now(), state_);
   if (!outcome.effects.empty() || outcome.faults > 0 || !outcome.refused_programs.empty() ||
       !outcome.cut_strings.empty()) {
-    Perform(outcome, absl::StrCat(engine::Describe(event), NamesakesText(event, state_.graph.get()),
-                                  LateText(event), source.remark));
+    const std::string late = LateText(event);
+    const std::string text = absl::StrCat(
+        engine::Describe(event), NamesakesText(event, state_.graph.get()), late, source.remark);
+    Perform(outcome, text, late.empty() ? "" : text);
   } else if (outcome.variables_changed) {
     outbox_.Touch(&DurableOutbox::Unsaved::variables);
   }
@@ -141,7 +143,8 @@ void Decider::OnProgramResult(const ProgramResult& result) {
 
 void Decider::Expire() { Perform(engine::Expire(context_.now(), state_), "deadline"); }
 
-void Decider::Perform(const engine::Outcome& outcome, const std::string& event) {
+void Decider::Perform(const engine::Outcome& outcome, const std::string& event,
+                      const std::string& late) {
   RecordOutcome(outcome, state_, context_);
   if (outcome.variables_changed) outbox_.Touch(&DurableOutbox::Unsaved::variables);
   for (const auto& refused : outcome.refused_programs) {
@@ -155,24 +158,25 @@ void Decider::Perform(const engine::Outcome& outcome, const std::string& event) 
   }
   for (const engine::Effect& effect : outcome.effects) {
     std::visit(
-        Overloaded{[&](const engine::AlertEffect& alert) { alerts_.RaiseOfRule(alert, event); },
-                   [&](const engine::TransitionEffect& transition) { OnTransition(transition); },
-                   [&](const engine::RunProgramEffect& run) {
-                     std::string refused = actuators_.Run(run);
-                     if (refused.empty()) return;
-                     alerts_.Raise(engine::Severity::kHigh,
-                                   absl::StrCat("program `", run.program, "` of rule ", run.rule,
-                                                " was not run: ", refused));
-                     OnProgramResult({.run_id = run.run_id, .detail = std::move(refused)});
-                   },
-                   [&](const engine::LogEffect& log) {
-                     context_.Do(action::LogRule{.rule = log.rule, .text = log.text});
-                   }},
+        Overloaded{
+            [&](const engine::AlertEffect& alert) { alerts_.RaiseOfRule(alert, event); },
+            [&](const engine::TransitionEffect& transition) { OnTransition(transition, late); },
+            [&](const engine::RunProgramEffect& run) {
+              std::string refused = actuators_.Run(run);
+              if (refused.empty()) return;
+              alerts_.Raise(engine::Severity::kHigh,
+                            absl::StrCat("program `", run.program, "` of rule ", run.rule,
+                                         " was not run: ", refused));
+              OnProgramResult({.run_id = run.run_id, .detail = std::move(refused)});
+            },
+            [&](const engine::LogEffect& log) {
+              context_.Do(action::LogRule{.rule = log.rule, .text = log.text});
+            }},
         effect);
   }
 }
 
-void Decider::OnTransition(const engine::TransitionEffect& effect) {
+void Decider::OnTransition(const engine::TransitionEffect& effect, const std::string& late) {
   const levels::Transition& transition = effect.transition;
   if (transition.refused()) return OnRefusal(effect);
   if (!transition.decided()) return;
@@ -183,7 +187,7 @@ void Decider::OnTransition(const engine::TransitionEffect& effect) {
                        .from = table.name(transition.from),
                        .to = table.name(transition.to),
                        .cause = CauseText(transition.cause),
-                       .reason = transition.cause.reason,
+                       .reason = transition.cause.reason.empty() ? late : transition.cause.reason,
                        .time_unix_ns = transition.at.unix_ns,
                        .trace = CopyOf(effect.trace)});
   using Kind = levels::Cause::Kind;

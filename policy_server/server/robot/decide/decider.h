@@ -57,8 +57,9 @@ class Decider {
   void OnProgramResult(const ProgramResult& result);
   void Expire();
 
-  // A decision, or a refusal, of the level machine.
-  void OnTransition(const engine::TransitionEffect& effect);
+  // A decision, or a refusal, of the level machine. `late`: the event of a rule that was judged
+  // long after it happened.
+  void OnTransition(const engine::TransitionEffect& effect, const std::string& late = "");
   void Adopt(levels::LevelIndex level, const DecisionId& seen, const std::string& why);
   // An operator lets rules run again.
   void Resume();
@@ -72,7 +73,8 @@ class Decider {
   WaitingOrders& orders() { return orders_; }
 
  private:
-  void Perform(const engine::Outcome& outcome, const std::string& event);
+  void Perform(const engine::Outcome& outcome, const std::string& event,
+               const std::string& late = "");
   void OnRefusal(const engine::TransitionEffect& effect);
 
   Context& context_;

@@ -75,7 +75,11 @@ bool SensorSide::OnHello(const input::SensorHello& in) {
   }
   own_agents_.OnSession(Named(host), hello.peer);
   host.session = NewSession(in, context_.now());
-  if (host.graph_incarnation != hello.incarnation) host.settled = false;
+  if (host.graph_incarnation != hello.incarnation) {
+    host.settled = false;
+    // If the process before comes back, after one that was not it, it is asked for its graph, too.
+    host.graph_incarnation.clear();
+  }
   const uint64_t missing = losses_.LostBefore(host, in);
   OnRestart(host, hello);
   SendSetup(host);
