@@ -49,7 +49,7 @@ struct State {
 State StateOf(const Explanation& explanation) {
   State out;
   if (!explanation.findings.has_value()) {
-    out.not_known.push_back("the robot's state is not known");
+    out.not_known.emplace_back("the robot's state is not known");
   } else if (const std::string reason = NoAnswer(*explanation.findings); !reason.empty()) {
     out.not_known.push_back(reason);
   } else {

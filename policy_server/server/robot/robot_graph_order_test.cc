@@ -320,6 +320,39 @@ TEST_F(GraphOrderTest, AStepThatWasJudgedBeforeIsWhatTheNextGoesOnFrom) {
   EXPECT_EQ(audience_.Count("do not fit one another"), 0);
 }
 
+TEST_F(GraphOrderTest, AnotherSensorOfTheRobotCannotPutAGraphInItsPlace) {
+  sensor_hosts_ = {"base", "laptop"};
+  StartAnew({FormerSteps(3)});
+  ros2::GraphDelta camera;
+  AddNode(&camera, 1, "/camera");
+  SendOwnGraph(std::move(camera));
+  const auto laptop = std::make_shared<FakeSensor>();
+  robot_->OnSensorHello("laptop", laptop, {.incarnation = kIncarnation, .clock = clock_.Now()});
+  const auto invent = [&](Lane lane, uint64_t sequence) {
+    Batch batch{
+        .incarnation = "0 of the laptop!", .lane = lane, .first_sequence = sequence, .bytes = 100};
+    const Observation graph{.boottime_ns = Boottime(), .what = NormalThen(99)};
+    batch.observations = {lane == Lane::kControl ? graph : Drive(2, 99)};
+    if (lane == Lane::kMessages) batch.graph = {NormalThen(99)};
+    robot_->OnBatch("laptop", laptop.get(), std::make_shared<const Batch>(std::move(batch)));
+    Drain();
+  };
+  SendFormerSteps(1, {NormalThen(7)});
+  invent(Lane::kControl, 1);
+  invent(Lane::kControl, 1);  // judged before
+  SendFormerSteps(2, {IntruderJoins(7), IntruderLeft(8)});
+  EXPECT_EQ(audience_.Count("unknown node"), 1);
+  EXPECT_EQ(audience_.Count("do not fit one another"), 0);
+
+  const auto former = [&](uint64_t sequence, uint64_t version, std::vector<GraphChange> graph) {
+    SendFormer(sequence, {Drive(2, version, "/other")}, std::move(graph));
+  };
+  former(1, 5, {NormalThen(5)});
+  invent(Lane::kMessages, 1);
+  former(2, 6, {{.from_version = 5, .to_version = 6, .settled = true}});
+  EXPECT_EQ(audience_.Count("rogue"), 0);
+}
+
 TEST_F(GraphOrderTest, WhatDoesNotGoOnFromAnythingIsLost) {
   StartAnew({FormerSteps(2)});
   SendOwnGraph(NormalGraph());

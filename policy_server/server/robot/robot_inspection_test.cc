@@ -1,12 +1,14 @@
 // The message lane while payloads are inspected, and robots whose rules have crashed.
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "services/base/status_matchers.h"
 
 namespace rips::pipeline {
 namespace {
 
 using engine::Verdict;
 using ::testing::ElementsAre;
+using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 

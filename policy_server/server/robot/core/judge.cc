@@ -21,6 +21,11 @@ LossSeen EventOf(LossSeen loss, const SensorSession& session) {
   return loss;
 }
 
+// The sensor whose graph and messages count.
+bool IsPrimary(const SensorHost& host, const Context& context) {
+  return host.name == context.config.primary_sensor;
+}
+
 }  // namespace
 
 void Judge::OnBatch(const input::SensorBatch& in) {
@@ -89,12 +94,12 @@ void Judge::JudgePiece(SensorHost& host, const Piece& piece) {
   parts_.decider.RunEvents();
   parts_.context.Count(Counter::kObservationsDuplicate, accepted->skip);
   parts_.outbox.Touch(&DurableOutbox::Unsaved::sequences);
-  for (size_t i = piece.from; i < piece.from + accepted->skip; ++i) {
+  const bool former =
+      batch.incarnation != host.session->incarnation && IsPrimary(host, parts_.context);
+  for (size_t i = piece.from; former && i < piece.from + accepted->skip; ++i) {
     // What comes after it needs it.
     const auto* change = std::get_if<GraphChange>(&batch.observations[i].what);
-    if (change != nullptr && batch.incarnation != host.session->incarnation) {
-      late_.Apply(host, batch.incarnation, *change);
-    }
+    if (change != nullptr) late_.Apply(host, batch.incarnation, *change);
   }
   std::shared_ptr<const Batch> keeps = piece.waiting.batch;
   for (size_t i = piece.from + accepted->skip; i < piece.to; ++i) {
@@ -120,7 +125,7 @@ void Judge::JudgeOne(SensorHost& host, const Piece& piece, size_t index,
   const Batch& batch = *piece.waiting.batch;
   const Observation& seen = batch.observations[index];
   const SensorSession& session = *host.session;
-  const bool primary = host.name == parts_.context.config.primary_sensor;
+  const bool primary = IsPrimary(host, parts_.context);
   const Instant now = parts_.context.now();
   const int64_t age_ns = now.boottime_ns - (seen.boottime_ns + session.boottime_offset_ns);
   if (age_ns > parts_.context.timing.backlog_ns) {

@@ -79,7 +79,8 @@ GraphHistory::Choice InspectionLine::Choose(const SensorHost& host, const Batch&
 
 std::optional<Piece> InspectionLine::Next(const SensorHost& host) {
   Entry& first = batches_.front();
-  if (!std::exchange(first.has_graph, true)) {
+  const bool primary = host.name == context_.config.primary_sensor;  // no other has a graph
+  if (!std::exchange(first.has_graph, true) && primary) {
     const Batch& batch = *first.waiting.batch;
     former_.Apply(batch.incarnation, batch.graph, state_.graph.get());
   }
