@@ -36,7 +36,7 @@ in_port_t PortOfEveryAddress(int descriptor) {
   size = sizeof name;
   if (getsockname(descriptor, reinterpret_cast<sockaddr*>(&name), &size) != 0) return 0;
   return name.sin_family == AF_INET && name.sin_addr.s_addr == htonl(INADDR_ANY) ? name.sin_port
-                                                                                : in_port_t{0};
+                                                                                 : in_port_t{0};
 }
 
 void WakeReceivers() {

@@ -35,9 +35,9 @@ Awaited AwaitReached(Env& env, const std::string& robot, const v1::LevelResponse
         // The newest that is recorded may be an older one.
         const std::string newest = DecisionIdText(status.decision_id());
         const bool known = DecisionIdText(seen->last().decision_id()) == newest;
-        return {.why = absl::StrCat("a newer decision has replaced this one: ",
-                                    status.decided_level(), " (", newest, ")", known ? ", " : "",
-                                    known ? seen->last().cause() : "")};
+        return {.why = absl::StrCat(
+                    "a newer decision has replaced this one: ", status.decided_level(), " (",
+                    newest, ")", known ? ", " : "", known ? seen->last().cause() : "")};
       }
       if (status.stage() == "verified") {
         return {.reached = true,
