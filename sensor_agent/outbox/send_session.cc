@@ -10,7 +10,7 @@ namespace rips::sensor {
 namespace {
 
 // What was left of the control lane goes ahead of what is live if it is read in this time after the
-// stream has begun: who came and left before is told of first.
+// stream has begun: the server then judges the graph in the order of its changes.
 constexpr int64_t kBacklogFirstNs = 500 * kNanosPerMilli;
 // A full line is tried again after this.
 constexpr int64_t kLineRetryNs = 10 * kNanosPerMilli;

@@ -1115,23 +1115,23 @@ def drivers_while_the_server_is_away(fleet):
                    if alert["text"] == "a rogue" and f"from {name}" in alert["event"]]
         check(accused, f"{name} is not accused after {how.name}")
         lost = [alert["text"] for alert in fleet.alerts() if "and did not come" in alert["text"]]
-        check(not lost, f"a loss that was none is told: {lost}")
+        check(not lost, f"an alert reports a loss that did not happen: {lost}")
     check(fleet.level()["decided_level"] == "COMPROMISED", "the level was not raised")
     published(allowed)
 
 
-STRANGER_RULES = """
+UNKNOWN_NODE_RULES = """
 levels:
   DEFAULT;
   ALERT;
   COMPROMISED;
   HALT;
 vars:
-  stranger bool = false;
+  unknown bool = false;
 rules Graph:
-  came: !nodesinclude("/load", "/rips") && !stranger ?
-    set(stranger, true) => alert("a stranger") => trigger(ALERT);
-  left: nodesinclude("/load", "/rips") && stranger ? set(stranger, false) => alert("no stranger", "info");
+  came: !nodesinclude("/load", "/rips") && !unknown ?
+    set(unknown, true) => alert("an unknown node") => trigger(ALERT);
+  left: nodesinclude("/load", "/rips") && unknown ? set(unknown, false) => alert("all known", "info");
 rules Msg:
   none: topicmatches("^/load") && topicmatches("^/none") ? alert("none");
 rules External:
@@ -1139,10 +1139,10 @@ rules External:
 """
 
 
-def strangers_while_the_server_is_away(fleet):
-    """Who joins and leaves while the server is away is told of, also if the sensor is stopped before
-    the server is back; who is allowed is not, and nothing is lost."""
-    fleet.load_rules = STRANGER_RULES
+def unknown_nodes_while_the_server_is_away(fleet):
+    """A node that joins and leaves while the server is away raises an alert, also if the sensor stops
+    before the server is back; an allowed node raises none, and no observation is lost."""
+    fleet.load_rules = UNKNOWN_NODE_RULES
     arm_under_load(fleet)
 
     def comes_and_goes(*options):
@@ -1152,7 +1152,7 @@ def strangers_while_the_server_is_away(fleet):
         published(node)
         time.sleep(2)  # the sensor has seen it go
 
-    for name, told in (("/load", 0), ("/stranger", 1)):
+    for name, alerts in (("/load", 0), ("/unknown", 1)):
         fleet.server.kill(signal.SIGTERM)
         time.sleep(2)
         comes_and_goes("--node", name)
@@ -1166,10 +1166,10 @@ def strangers_while_the_server_is_away(fleet):
             check(time.monotonic() < deadline, "what was left is not judged")
             time.sleep(0.2)
         texts = [alert["text"] for alert in fleet.alerts()]
-        check(texts.count("a stranger") == told, f"{name}: {texts}")
-        check(texts.count("no stranger") == told, f"{name} has gone: {texts}")
-        check(not [text for text in texts if "were lost" in text], f"a loss is told: {texts}")
-    late = [alert["event"] for alert in fleet.alerts() if alert["text"] == "a stranger"]
+        check(texts.count("an unknown node") == alerts, f"{name}: {texts}")
+        check(texts.count("all known") == alerts, f"{name} has gone: {texts}")
+        check(not [text for text in texts if "were lost" in text], f"an alert reports a loss: {texts}")
+    late = [alert["event"] for alert in fleet.alerts() if alert["text"] == "an unknown node"]
     check("it came late" in late[0], late[0])
     check(fleet.level()["decided_level"] == "ALERT", "the level was not raised")
 
@@ -1405,7 +1405,7 @@ SCENARIOS = [kill_server_while_compromised, explained_when_the_driver_has_gone,
              findings_are_told, server_killed_under_load,
              sensor_restarted_while_the_server_is_away,
              nodes_that_ended_while_the_server_was_away, drivers_while_the_server_is_away,
-             strangers_while_the_server_is_away, store_restored_from_a_backup,
+             unknown_nodes_while_the_server_is_away, store_restored_from_a_backup,
              starts_and_stops, actuator_whose_term_is_far_ahead]
 
 

@@ -216,7 +216,7 @@ TEST_F(GraphOrderTest, WhatOutlivedItsGraphIsJudgedByTheGraphOfNowAndItsWriter) 
       AllOf(HasSubstr("/rogue"), HasSubstr("who was there when it was taken is not known")));
 }
 
-TEST_F(GraphOrderTest, AWriterThatNobodyKnowsIsAStrangerLater) {
+TEST_F(GraphOrderTest, ALateMessageOfAnUnattributedWriterIsUnauthorised) {
   Start();
   Arm();
   SendFormer(1, {Drive(3, 5, "")});

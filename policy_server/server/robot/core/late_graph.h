@@ -1,9 +1,9 @@
 // Graphs that are judged after their time: what rules are run on beside the graph in force. Pure.
 //
 // A sensor that is stopped leaves the changes of its graph that no server has judged to its next
-// process. Each is an event of the rules, against a graph that is never in force. And since what
-// rules keep of who is there ("a stranger is here") is then about another graph than the one in
-// force, they are run on that again when nothing more comes late.
+// process. Each is an event of the rules, against a graph that is never in force. Variables that
+// rules keep about the graph are then of another one than that in force, so the rules are evaluated
+// on the graph in force again after the late events.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_CORE_LATE_GRAPH_H_
 

@@ -3,7 +3,7 @@
 // incarnation ended. It judges these and nothing else: it is never in force.
 //
 // Where the graph that judges such a message does not show its writer, the writer is added as the
-// message names it: whoever wrote was there, so "only these publish" must not hold without it.
+// message names it: it was in the graph when it wrote, so "only these publish" must be false.
 #ifndef RIPS_POLICY_SERVER_SERVER_ROBOT_LINE_FORMER_GRAPH_H_
 #define RIPS_POLICY_SERVER_SERVER_ROBOT_LINE_FORMER_GRAPH_H_
 
