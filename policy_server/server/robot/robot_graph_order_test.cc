@@ -309,6 +309,21 @@ TEST_F(GraphOrderTest, WhoWasThereWhenTheSensorEndedIsLookedForInTheNextGraph) {
   EXPECT_THAT(recorder_.variables, Contains(Pair("intruder", lang::Value(true))));
 }
 
+TEST_F(GraphOrderTest, OfManyFormerGraphsInOneBatchTheLastIsJudged) {
+  uint64_t merged = 0;
+  counts_.graphs_merged = [&](uint64_t by) { merged += by; };
+  StartAnew({FormerSteps(10)});
+  SendOwnGraph(NormalGraph());
+  std::vector<GraphChange> steps = {NormalThen(1)};
+  for (uint64_t version = 1; version < 9; ++version) {
+    steps.push_back({.from_version = version, .to_version = version + 1, .settled = true});
+  }
+  steps.push_back(IntruderJoins(9));
+  SendFormerSteps(1, std::move(steps));
+  EXPECT_GT(merged, 0u);
+  EXPECT_EQ(audience_.Count("unknown node"), 1);
+}
+
 TEST_F(GraphOrderTest, AStepThatWasJudgedBeforeIsWhatTheNextGoesOnFrom) {
   StartAnew({FormerSteps(3)});
   SendOwnGraph(NormalGraph());
