@@ -11,8 +11,8 @@ namespace {
 
 using ros2::Guid;
 
-constexpr absl::string_view kChangeMode = "/change_mode";
-constexpr absl::string_view kByManager[] = {kChangeMode, "/get_mode", "/get_available_modes"};
+constexpr absl::string_view kModeOrder = "/change_mode";
+constexpr absl::string_view kByManager[] = {kModeOrder, "/get_mode", "/get_available_modes"};
 // The node of that name serves these; of a system, its mode manager does.
 constexpr absl::string_view kByNode[] = {"/get_state", "/change_state", "/get_parameters",
                                          "/set_parameters", "/set_parameters_atomically"};
@@ -25,7 +25,7 @@ absl::string_view Before(absl::string_view service, absl::Span<const absl::strin
   return {};
 }
 
-absl::string_view PartOf(absl::string_view service) {
+absl::string_view PartServedBy(absl::string_view service) {
   const absl::string_view part = Before(service, kByNode);
   return part.empty() ? Before(service, kByManager) : part;
 }
@@ -34,7 +34,7 @@ absl::string_view PartOf(absl::string_view service) {
 
 void PartServers::Upsert(const ros2::Endpoint& endpoint, int64_t now_ns,
                          const PartServers& before) {
-  const std::string part(PartOf(endpoint.name));
+  const std::string part(PartServedBy(endpoint.name));
   if (part.empty()) return;
   const auto [it, is_new] = parts_[part].try_emplace(endpoint.guid);
   Served& served = it->second;
@@ -90,7 +90,7 @@ std::optional<PartServers::Server> PartServers::ChangeModeOf(absl::string_view p
   const auto served = parts_.find(part);
   if (served == parts_.end()) return std::nullopt;
   auto servers = ByService(served->second);
-  const auto found = servers.find(absl::StrCat(part, kChangeMode));
+  const auto found = servers.find(absl::StrCat(part, kModeOrder));
   return found == servers.end() ? std::nullopt : std::optional(std::move(found->second));
 }
 

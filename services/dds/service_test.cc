@@ -298,7 +298,7 @@ TEST_F(ServiceTest, AServiceIdThatWasCopiedMakesNoServerOfTwoHalves) {
     return far_server.writer().MatchedReaders() == 1 && rival_server.writer().MatchedReaders() == 1;
   }));
   EXPECT_THAT(client->WaitForServer(kShort), StatusIs(absl::StatusCode::kDeadlineExceeded));
-  const HandMadeServer whole(third(), none, "serviceid= 7.7;", "serviceid= 7.7;");
+  const HandMadeServer whole(third(), none, "serviceid= 9.9;", "serviceid= 9.9;");
   EXPECT_TRUE(Eventually([&] { return client->Server() == whole.reader().guid(); }));
 }
 
