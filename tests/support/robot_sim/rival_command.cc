@@ -24,8 +24,8 @@ namespace rips::robot_sim {
 namespace {
 
 // To discover who is there.
-constexpr absl::Duration kLook = absl::Milliseconds(1'500);
-constexpr absl::Duration kPeriod = absl::Milliseconds(20);
+constexpr absl::Duration kDiscoverTime = absl::Milliseconds(1'500);
+constexpr absl::Duration kRivalPeriod = absl::Milliseconds(20);
 
 // The servers of every part, without a node.
 class Servers {
@@ -175,12 +175,12 @@ absl::Status RunRival(const RivalCommand& command, StopFlag& stop) {
       }}));
   Servers servers(*participant, std::move(machine));
   RIPS_RETURN_IF_ERROR(servers.Serve());
-  stop.WaitFor(kLook);
+  stop.WaitFor(kDiscoverTime);
   if (command.deafen) RIPS_RETURN_IF_ERROR(Deafen(others, command.domain.id));
   PrintEvent({{"event", "rival"},
               {"clients", others.Pairs().size()},
               {"unix_ns", RealClock().Now().unix_ns}});
-  while (!stop.WaitFor(kPeriod)) {
+  while (!stop.WaitFor(kRivalPeriod)) {
     servers.Advance();
     if (command.deafen_always) RIPS_RETURN_IF_ERROR(Deafen(others, command.domain.id));
   }
