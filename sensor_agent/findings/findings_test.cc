@@ -3,14 +3,11 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "sensor_agent/findings/findings_fixture.h"
 
 namespace rips::sensor {
 namespace {
 
-using ros2::Endpoint;
-using ros2::EndpointKind;
-using ros2::GraphDelta;
-using ros2::Guid;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::Field;
@@ -19,122 +16,6 @@ using ::testing::IsEmpty;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
 using ::testing::UnorderedElementsAre;
-
-constexpr int64_t kMs = 1'000'000;
-constexpr int64_t kSecond = 1'000 * kMs;
-
-Guid ParticipantGuid(uint16_t number, uint8_t first = 0x01) {
-  Guid guid;
-  guid.bytes = {first,
-                0x10,
-                0,
-                0,
-                0,
-                0,
-                0,
-                0,
-                0,
-                0,
-                static_cast<uint8_t>(number >> 8),
-                static_cast<uint8_t>(number),
-                0,
-                0,
-                1,
-                0xc1};
-  return guid;
-}
-
-Guid EndpointGuid(uint16_t participant, uint8_t number, bool writer = true) {
-  Guid guid = ParticipantGuid(participant);
-  guid.bytes[14] = number;
-  guid.bytes[15] = writer ? 0x03 : 0x04;
-  return guid;
-}
-
-constexpr uint16_t kOwn = 200;
-constexpr uint16_t kActuator = 201;
-
-auto Begins(const std::string& kind, const testing::Matcher<Guid>& guid) {
-  return AllOf(Field("kind", &Finding::kind, kind), Field("guid", &Finding::guid, guid),
-               Field("over", &Finding::over, false));
-}
-auto Ends(const std::string& kind, const testing::Matcher<Guid>& guid) {
-  return AllOf(Field("kind", &Finding::kind, kind), Field("guid", &Finding::guid, guid),
-               Field("over", &Finding::over, true));
-}
-
-// Steps time and plays the steps of a graph.
-class FindingsTest : public testing::Test {
- protected:
-  FindingsTest() { Restart({}); }
-
-  void Restart(FindingsOptions options) {
-    options.own = ParticipantGuid(kOwn);
-    findings_.emplace(std::move(options));
-    version_ = 0;
-    Step({});
-    findings_->SetConnected(true, now_ns_);
-    EXPECT_THAT(Poll(), IsEmpty());
-  }
-  void Step(GraphDelta delta) {
-    GraphChange change{.from_version = version_, .settled = true, .delta = std::move(delta)};
-    change.to_version = ++version_;
-    findings_->OnGraph(change, now_ns_);
-  }
-  std::vector<Finding> Poll() { return findings_->Poll(now_ns_); }
-  std::vector<Finding> After(int64_t ns) {
-    now_ns_ += ns;
-    return Poll();
-  }
-
-  static GraphDelta Process(uint16_t number, const std::string& node = "") {
-    GraphDelta delta;
-    delta.upsert_participants.push_back({.guid = ParticipantGuid(number), .host = "h", .pid = 7});
-    if (!node.empty()) {
-      delta.upsert_nodes.push_back({.full_name = node, .participant = ParticipantGuid(number)});
-    }
-    // The writer of ros_discovery_info.
-    delta.upsert_endpoints.push_back(
-        {.guid = EndpointGuid(number, 1), .name = "ros_discovery_info", .ros = false});
-    return delta;
-  }
-  static Endpoint Client(uint16_t participant, uint8_t number, const std::string& service) {
-    return {.guid = EndpointGuid(participant, number),
-            .kind = EndpointKind::kClient,
-            .name = service,
-            .type = "t"};
-  }
-  static Endpoint Service(uint16_t participant, uint8_t number, const std::string& service,
-                          const std::string& node = "/safety", bool pending = false) {
-    return {.guid = EndpointGuid(participant, number, /*writer=*/false),
-            .kind = EndpointKind::kService,
-            .name = service,
-            .type = "t",
-            .node = node,
-            .pending = pending};
-  }
-  static Endpoint Publisher(uint16_t participant, uint8_t number, const std::string& node,
-                            bool pending = false) {
-    return {.guid = EndpointGuid(participant, number),
-            .name = "/cmd_vel",
-            .type = "t",
-            .node = node,
-            .pending = pending};
-  }
-  void Gone(const Guid& guid) { Step({.gone_guids = {guid}}); }
-  void StartManager(uint16_t participant = 1) {
-    GraphDelta delta = Process(participant, "/safety");
-    delta.upsert_endpoints.push_back(Service(participant, 2, "/safety/change_mode"));
-    delta.upsert_endpoints.push_back(Service(participant, 3, "/camera/change_mode"));
-    // It steers the nodes below it.
-    delta.upsert_endpoints.push_back(Client(participant, 4, "/camera/change_state"));
-    Step(std::move(delta));
-  }
-
-  int64_t now_ns_ = 1'000 * kSecond;
-  uint64_t version_ = 0;
-  std::optional<Findings> findings_;
-};
 
 TEST_F(FindingsTest, OneNodeNameInTwoParticipants) {
   Step(Process(1, "/camera"));
@@ -439,36 +320,6 @@ TEST_F(FindingsTest, OfTwoManagersInTheFirstSnapshotNoneIsTrusted) {
                                    Begins("foreign_mode_writer", EndpointGuid(2, 4))));
 }
 
-TEST_F(FindingsTest, ServerOfAProtectedPartWithoutANode) {
-  findings_->SetProtectedParts({"/safety", "/camera"});
-  StartManager();
-  GraphDelta raw;
-  raw.upsert_participants.push_back({.guid = ParticipantGuid(2), .host = "h", .pid = 8});
-  raw.upsert_endpoints.push_back(Service(2, 1, "/camera/get_state", ""));
-  raw.upsert_endpoints.push_back(Service(2, 2, "/camera/change_state", ""));
-  raw.upsert_endpoints.push_back(Service(2, 3, "/safety/get_mode", "", /*pending=*/true));
-  // Of nothing that is protected, or that a level stands on.
-  raw.upsert_endpoints.push_back(Service(2, 4, "/lidar/get_state", ""));
-  raw.upsert_endpoints.push_back(Service(2, 5, "/camera/describe_parameters", ""));
-  Step(raw);
-  std::vector<Finding> told = Poll();
-  ASSERT_THAT(told, ElementsAre(Begins("rival_server", ParticipantGuid(2))));
-  EXPECT_EQ(told[0].topic, "/camera/change_state");
-  EXPECT_THAT(told[0].detail,
-              AllOf(HasSubstr("process 8"), HasSubstr("/camera/change_state, /camera/get_state"),
-                    HasSubstr("without a node")));
-  raw.upsert_endpoints[2].pending = false;
-  Step({.upsert_endpoints = {raw.upsert_endpoints[2]}});
-  told = Poll();
-  ASSERT_THAT(told, ElementsAre(Begins("rival_server", ParticipantGuid(2))));
-  EXPECT_EQ(told[0].topic, "/safety/get_mode");
-  Gone(EndpointGuid(2, 3, /*writer=*/false));
-  EXPECT_THAT(Poll(), SizeIs(1)) << "one part's ends, the other's stands";
-  Gone(ParticipantGuid(2));
-  EXPECT_THAT(Poll(), ElementsAre(Ends("rival_server", ParticipantGuid(2))));
-  EXPECT_THAT(findings_->Told(), IsEmpty());
-}
-
 TEST_F(FindingsTest, ServerOfASlowNodeIsNoRival) {
   findings_->SetProtectedParts({"/camera"});
   GraphDelta slow = Process(1);
@@ -485,67 +336,6 @@ TEST_F(FindingsTest, ServerOfASlowNodeIsNoRival) {
   slow.upsert_endpoints[2].node = "/camera";
   Step(slow);
   EXPECT_THAT(Poll(), ElementsAre(Ends("rival_server", ParticipantGuid(1))));
-}
-
-TEST_F(FindingsTest, SecondServerOfAProtectedPartThatStays) {
-  findings_->SetProtectedParts({"/camera"});
-  GraphDelta camera = Process(1, "/camera");
-  camera.upsert_endpoints.push_back(Service(1, 2, "/camera/get_state", "/camera"));
-  Step(camera);
-  now_ns_ += kSecond;
-  GraphDelta evil = Process(2, "/evil");
-  evil.upsert_endpoints.push_back(Service(2, 2, "/camera/get_state", "/evil"));
-  Step(evil);
-  EXPECT_THAT(Poll(), IsEmpty());
-  EXPECT_EQ(findings_->NextDue(), now_ns_ + 25 * kSecond);
-  EXPECT_THAT(After(24'900 * kMs), IsEmpty()) << "the node may have been started again";
-  std::vector<Finding> told = After(200 * kMs);
-  ASSERT_THAT(told, ElementsAre(Begins("rival_server", ParticipantGuid(2))));
-  EXPECT_EQ(told[0].node, "/evil");
-  EXPECT_THAT(told[0].detail, HasSubstr("beside the part's own server"));
-
-  // The camera's own server goes, and its node stays: the other is none of its own.
-  Gone(EndpointGuid(1, 2, /*writer=*/false));
-  EXPECT_THAT(Poll(), IsEmpty());
-  EXPECT_THAT(findings_->Told(), SizeIs(1));
-  // Its whole process goes: then the only one may be the camera's.
-  Gone(ParticipantGuid(1));
-  Step({.gone_nodes = {"/camera"}});
-  EXPECT_THAT(Poll(), ElementsAre(Ends("rival_server", ParticipantGuid(2))));
-}
-
-TEST_F(FindingsTest, NodeThatDiedAndWasStartedAgainIsNoRival) {
-  findings_->SetProtectedParts({"/camera"});
-  GraphDelta camera = Process(1, "/camera");
-  camera.upsert_endpoints.push_back(Service(1, 2, "/camera/get_state", "/camera"));
-  Step(camera);
-  now_ns_ += kSecond;
-  GraphDelta again = Process(2, "/camera");
-  again.upsert_endpoints.push_back(Service(2, 2, "/camera/get_state", "/camera"));
-  Step(again);
-  EXPECT_THAT(Poll(), ElementsAre(Begins("duplicate_node", testing::_)));
-  EXPECT_THAT(After(20 * kSecond), IsEmpty()) << "the lease of Fast DDS";
-  Gone(ParticipantGuid(1));
-  EXPECT_THAT(Poll(), ElementsAre(Ends("duplicate_node", testing::_)));
-  EXPECT_THAT(After(60 * kSecond), IsEmpty());
-}
-
-TEST_F(FindingsTest, OfTwoServersInOneSnapshotNoneIsTrustedAndRipsServesNoPart) {
-  findings_->SetProtectedParts({"/camera"});
-  findings_->SetOwnParticipants({ParticipantGuid(kActuator)});
-  GraphDelta both = Process(1, "/camera");
-  both.upsert_participants.push_back({.guid = ParticipantGuid(kActuator)});
-  both.upsert_endpoints.push_back(Service(1, 2, "/camera/change_mode", "/camera"));
-  both.upsert_endpoints.push_back(Service(kActuator, 2, "/camera/change_mode", "/rips"));
-  Step(both);
-  now_ns_ += 10 * kSecond;
-  // The same once more as a snapshot: since when they are there does not begin anew.
-  findings_->OnGraph({.from_version = 0, .to_version = 50, .settled = true, .delta = both},
-                     now_ns_);
-  EXPECT_THAT(Poll(), IsEmpty());
-  EXPECT_THAT(After(15 * kSecond),
-              UnorderedElementsAre(Begins("rival_server", ParticipantGuid(1)),
-                                   Begins("rival_server", ParticipantGuid(kActuator))));
 }
 
 TEST_F(FindingsTest, WriterOfAProcessThatIsNotRos) {

@@ -49,7 +49,8 @@ class ManagerClient {
   ManagerView Poll(absl::string_view mode, absl::Duration timeout = kReadTimeout);
   absl::StatusOr<std::vector<std::string>> AvailableModes();
 
-  // The endpoint that takes orders: another one after a restart. nullopt = there is none, or several.
+  // The endpoint that takes orders: another one after a restart. nullopt = there is none, or there
+  // are several.
   std::optional<ros2::Guid> server() const;
 
  private:

@@ -65,8 +65,8 @@ class NodeClient {
   // Looks at state and, where some are expected, parameters. `timeout` of each call.
   NodeView Poll(const ExpectedPart& expected, absl::Duration timeout = kReadTimeout);
 
-  // FailedPrecondition if the node refuses, or if several servers offer the service: then it is sent
-  // to all of them. Unavailable and DeadlineExceeded as calls give them.
+  // FailedPrecondition if the node refuses, or if several servers offer the service: then all of
+  // them have the order. Unavailable and DeadlineExceeded as calls give them.
   absl::Status Transition(uint8_t transition);
   // All or none of them.
   absl::Status SetParameters(const ParameterMap& parameters);

@@ -87,8 +87,8 @@ struct RivalCommand {
   bool deafen = false;
   bool deafen_always = false;
 };
-// A process without a node that serves every part of a robot: it takes each order, is in the mode at
-// once, and publishes nothing.
+// A process without a node that serves every part of a robot: it takes each order, is in the mode
+// at once, and publishes nothing.
 // {"event":"rival","clients":24}   it serves, and has forged heartbeats of so many clients
 absl::Status RunRival(const RivalCommand& command, StopFlag& stop);
 

@@ -11,8 +11,8 @@
 
 namespace rips::dds {
 
-// A datagram with a HEARTBEAT of `writer` for the readers in the participant `victim`: what `writer`
-// sent or will send below the number 2^40 is gone (DDSI-RTPS 2.5 §8.3.8.6).
+// A datagram with a HEARTBEAT of `writer` for the readers in the participant `victim`: what
+// `writer` sent or will send below the number 2^40 is gone (DDSI-RTPS 2.5 §8.3.8.6).
 std::string ForgedHeartbeat(const ros2::Guid& writer, const ros2::Guid& victim);
 
 // Sends a datagram to every participant of the domain on the loopback interface. Unavailable with
