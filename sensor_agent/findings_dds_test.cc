@@ -225,6 +225,29 @@ TEST_F(HostileProcessTest, SteersAProtectedPartAndRipsAndTheManagerMay) {
   EXPECT_THAT(Kinds(), ElementsAre("foreign_mode_writer")) << "and nobody else";
 }
 
+TEST_F(HostileProcessTest, ServesAProtectedPartWithoutANode) {
+  constexpr char kGetStateRequest[] = "rq/camera/get_stateRequest";
+  constexpr char kGetStateType[] = "lifecycle_msgs::srv::dds_::GetState_Request_";
+  server_.Set([](FakePolicyServer::Behaviour& b) { b.protected_parts = {"/camera"}; });
+  auto camera = robot_.AddProcess();
+  camera->AddReader(kGetStateRequest);
+  camera->Announce("camera");
+  Start();
+  auto rival = robot_.AddParticipant();
+  auto server = dds::RawReader::Create(*rival, {.topic = kGetStateRequest, .type = kGetStateType},
+                                       [](const dds::RawSample&) {});
+  ASSERT_THAT(server, IsOk());
+
+  const auto finding = WaitFor("rival_server");
+  ASSERT_TRUE(finding.has_value());
+  EXPECT_EQ(finding->guid(), rival->guid().ToBytes());
+  EXPECT_EQ(finding->topic(), "/camera/get_state");
+  EXPECT_THAT(finding->detail(), HasSubstr("without a node"));
+  server->reset();
+  EXPECT_TRUE(WaitFor("rival_server", /*over=*/true).has_value());
+  EXPECT_THAT(Kinds(), ElementsAre("rival_server", "rival_server"));
+}
+
 TEST_F(HostileProcessTest, StandingFindingsAreToldAgainToAServerThatForgot) {
   Start();
   auto evil = robot_.AddProcess();

@@ -6,6 +6,7 @@
 #include "absl/algorithm/container.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::sensor {
@@ -23,8 +24,8 @@ constexpr absl::string_view kChangeMode = "/change_mode";
 constexpr absl::string_view kSteering[] = {kChangeMode, "/change_state", "/set_parameters",
                                            "/set_parameters_atomically"};
 constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",       "false_claim",
-                                      "foreign_mode_writer", "non_ros_writer", "non_ros_reader",
-                                      "unauthenticated"};
+                                      "foreign_mode_writer", "rival_server",   "non_ros_writer",
+                                      "non_ros_reader",      "unauthenticated"};
 
 // The part whose mode the service steers; empty = it is no such service.
 absl::string_view PartOf(absl::string_view service) {
@@ -50,7 +51,7 @@ bool IsSuspect(const ros2::Endpoint& endpoint, const std::vector<std::string>& r
     case EndpointKind::kClient:
       return !PartOf(endpoint.name).empty();
     case EndpointKind::kService:
-      return absl::EndsWith(endpoint.name, kChangeMode);
+      return false;  // see PartServers
   }
   return false;
 }
@@ -117,6 +118,9 @@ void Findings::UpsertEndpoint(const ros2::Endpoint& endpoint, int64_t now_ns) {
     const auto held = held_.find({kNonRosReader, endpoint.guid.Participant(), endpoint.name});
     if (held != held_.end() && !held->second.told) held_.erase(held);
   }
+  if (endpoint.ros && endpoint.kind == EndpointKind::kService) {
+    now_.servers.Upsert(endpoint, now_ns, before_.servers);
+  }
   if (!IsSuspect(endpoint, options_.raw_readers)) {
     now_.suspects.erase(endpoint.guid);
     return;
@@ -146,6 +150,7 @@ void Findings::DropGuid(const Guid& guid) {
   if (guid != guid.Participant()) {
     now_.suspects.erase(guid);
     now_.claimed.erase(guid);
+    now_.servers.Drop(guid);
     if (party != now_.parties.end() && party->second.announcer == guid) {
       party->second.announcer = Guid{};
     }
@@ -165,6 +170,7 @@ void Findings::DropGuid(const Guid& guid) {
   auto end = begin;
   while (end != now_.suspects.end() && end->first.SamePrefix(guid)) ++end;
   now_.suspects.erase(begin, end);
+  now_.servers.DropAllOf(guid);
   const auto claimed = now_.claimed.lower_bound(first);
   auto claimed_end = claimed;
   while (claimed_end != now_.claimed.end() && claimed_end->SamePrefix(guid)) ++claimed_end;
@@ -191,7 +197,7 @@ void Findings::OnEndpointGone(const Guid& endpoint) {
   if (!protected_parts_.contains(part) || IsOwn(participant)) return;
   const Servers servers = CollectServers();
   const auto server = servers.find(part);
-  if (server != servers.end() && server->second.manager == participant) return;
+  if (server != servers.end() && server->second.first == participant) return;
   const auto held_of_kind = absl::c_count_if(
       held_, [](const auto& each) { return each.first.kind == kForeignModeWriter; });
   if (static_cast<size_t>(held_of_kind) >= options_.findings_max) {
@@ -338,19 +344,38 @@ Findings::Wanted* Findings::Want(const Key& key, int64_t due_ns, WantedMap& want
 
 Findings::Servers Findings::CollectServers() const {
   Servers servers;
-  for (const auto& [guid, suspect] : now_.suspects) {
-    if (suspect.kind != EndpointKind::kService) continue;
-    const absl::string_view part = PartOf(suspect.name);
-    if (!protected_parts_.contains(part)) continue;
-    Server& of_part = servers[std::string(part)];
-    const Guid server = guid.Participant();
-    of_part.all.insert(server);
-    if (suspect.seen_ns > of_part.first_ns) continue;
-    const bool tie = suspect.seen_ns == of_part.first_ns && of_part.manager != server;
-    of_part.first_ns = suspect.seen_ns;
-    of_part.manager = tie ? std::nullopt : std::optional<Guid>(server);
+  for (const std::string& part : protected_parts_) {
+    std::optional<PartServers::Server> server = now_.servers.ChangeModeOf(part);
+    if (server.has_value()) servers[part] = *std::move(server);
   }
   return servers;
+}
+
+void Findings::CollectRivals(WantedMap& wanted) {
+  for (const std::string& part : protected_parts_) {
+    const auto owners = now_.owners.find(part);
+    const auto rivals =
+        now_.servers.RivalsOf(part, owners == now_.owners.end() ? nullptr : &owners->second);
+    for (const auto& [participant, rival] : rivals) {
+      const bool nodeless = rival.unclaimed_ns != PartServers::kNone;
+      int64_t due_ns = kNever;
+      if (rival.claimed_ns != PartServers::kNone)
+        due_ns = rival.claimed_ns + options_.rival_server_grace_ns;
+      if (nodeless) {
+        const bool announces = !now_.parties.at(participant).announcer.none();
+        const int64_t slow_ns = announces ? options_.slow_node_ns : 0;
+        due_ns = std::min(due_ns, rival.unclaimed_ns + slow_ns);
+      }
+      Wanted* fresh = Want({kRivalServer, participant, part}, due_ns, wanted);
+      if (fresh == nullptr) continue;
+      fresh->finding = {.guid = participant,
+                        .node = rival.node,
+                        .topic = *rival.services.begin(),
+                        .detail = absl::StrCat(
+                            Describe(participant), " serves ", absl::StrJoin(rival.services, ", "),
+                            nodeless ? " without a node" : " beside the part's own server")};
+    }
+  }
 }
 
 void Findings::CollectModeWriters(WantedMap& wanted) {
@@ -362,7 +387,7 @@ void Findings::CollectModeWriters(WantedMap& wanted) {
     if (!protected_parts_.contains(part) || IsOwn(participant)) continue;
     const auto server = servers.find(part);
     const bool serves = server != servers.end() && server->second.all.contains(participant);
-    if (serves && server->second.manager == participant) continue;
+    if (serves && server->second.first == participant) continue;
     const int64_t grace_ns = serves ? options_.rival_grace_ns : options_.foreign_grace_ns;
     Wanted* fresh = Want({kForeignModeWriter, guid, ""},
                          std::max(suspect.seen_ns, connected_ns_) + grace_ns, wanted);
@@ -442,6 +467,7 @@ Findings::WantedMap Findings::Collect(int64_t now_ns) {
   CollectNodes(wanted);
   CollectClaims(now_ns, wanted);
   CollectModeWriters(wanted);
+  CollectRivals(wanted);
   CollectNonRos(wanted);
   CollectStrangers(now_ns, wanted);
   for (auto& [key, each] : wanted) {

@@ -10,6 +10,10 @@
 // |                     | set_parameters_atomically of a protected part is neither  | grace, or   |
 // |                     | RIPS's nor in the participant that serves its change_mode | rival       |
 // |                     |                                                           | grace       |
+// | rival_server        | a participant serves a protected part beside the one that | rival       |
+// |                     | came first, or its state and parameters while its node is | server      |
+// |                     | elsewhere; or no node claims what it serves of the part   | grace, or   |
+// |                     |                                                           | as a writer |
 // | non_ros_writer      | a ROS topic has a writer that no node claims, past the    | at once, or |
 // |                     | attribution grace                                         | slow node   |
 // | non_ros_reader      | a participant reads a ROS topic, none of those that may   | foreign     |
@@ -30,7 +34,8 @@
 // themselves `rips`. Who serves
 // change_mode is taken from discovery: the first one seen. A second one waits the rival grace: the
 // mode manager may have died and been started again, and then the first goes with its lease. Of
-// several in the same snapshot none is trusted.
+// several in the same snapshot none is trusted. A rival server waits for longer than any lease for
+// that reason. RIPS serves no part: one in a participant of RIPS is a rival, too.
 #ifndef RIPS_SENSOR_AGENT_FINDINGS_FINDINGS_H_
 #define RIPS_SENSOR_AGENT_FINDINGS_FINDINGS_H_
 
@@ -48,6 +53,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "sensor_agent/findings/findings_options.h"
+#include "sensor_agent/findings/part_servers.h"
 #include "sensor_agent/graph/graph_builder.h"
 #include "sensor_agent/outbox/observation.h"
 #include "services/ros2/guid.h"
@@ -99,6 +105,7 @@ class Findings {
     kImpostor,
     kFalseClaim,
     kForeignModeWriter,
+    kRivalServer,
     kNonRosWriter,
     kNonRosReader,
     kUnauthenticated,
@@ -107,7 +114,7 @@ class Findings {
   struct Key {
     Kind kind = kKinds;
     ros2::Guid guid;
-    // Or the topic that is read.
+    // Or the topic that is read, or the part that is served.
     std::string node;
 
     friend auto operator<=>(const Key&, const Key&) = default;
@@ -134,6 +141,7 @@ class Findings {
   struct Tables {
     absl::btree_map<ros2::Guid, Party> parties;
     absl::btree_map<ros2::Guid, Suspect> suspects;
+    PartServers servers;
     // Readers that a node claims or claimed.
     absl::btree_set<ros2::Guid> claimed;
     // Participants that claim a node of that name.
@@ -152,20 +160,14 @@ class Findings {
     // No longer so, and still to be told.
     bool gone = false;
   };
-  // Of one part's change_mode.
-  struct Server {
-    absl::btree_set<ros2::Guid> all;
-    int64_t first_ns = kNever;
-    // The first of them; nullopt = it cannot be told.
-    std::optional<ros2::Guid> manager;
-  };
   struct Window {
     int64_t start_ns = 0;
     size_t told = 0;
     uint64_t folded = 0;
   };
   using WantedMap = absl::btree_map<Key, Wanted>;
-  using Servers = absl::btree_map<std::string, Server>;
+  // Of each part's change_mode.
+  using Servers = absl::btree_map<std::string, PartServers::Server>;
 
   bool IsOwn(const ros2::Guid& participant) const;
   void UpsertParticipant(const ros2::Participant& participant, int64_t now_ns);
@@ -179,6 +181,7 @@ class Findings {
   void CollectClaims(int64_t now_ns, WantedMap& wanted);
   Servers CollectServers() const;
   void CollectModeWriters(WantedMap& wanted);
+  void CollectRivals(WantedMap& wanted);
   void CollectNonRos(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
   // `key` stands. Where to say what it is, unless it was told already or too many are new.

@@ -21,6 +21,8 @@ struct FindingsOptions {
   int64_t foreign_grace_ns = 5'000'000'000;
   // Above the longest usual lease, 10 s with Cyclone DDS.
   int64_t rival_grace_ns = 15'000'000'000;
+  // Above the longest usual lease of any middleware, 20 s with Fast DDS.
+  int64_t rival_server_grace_ns = 25'000'000'000;
   int64_t slow_node_ns = 5'000'000'000;
   // Above that, too: the middleware believes no farewell of a participant that has not
   // authenticated, and who came and left within the handshake is nobody's finding.

@@ -3,14 +3,11 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "sensor_agent/findings/findings_fixture.h"
 
 namespace rips::sensor {
 namespace {
 
-using ros2::Endpoint;
-using ros2::EndpointKind;
-using ros2::GraphDelta;
-using ros2::Guid;
 using ::testing::AllOf;
 using ::testing::ElementsAre;
 using ::testing::Field;
@@ -19,119 +16,6 @@ using ::testing::IsEmpty;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
 using ::testing::UnorderedElementsAre;
-
-constexpr int64_t kMs = 1'000'000;
-constexpr int64_t kSecond = 1'000 * kMs;
-
-Guid ParticipantGuid(uint16_t number, uint8_t first = 0x01) {
-  Guid guid;
-  guid.bytes = {first,
-                0x10,
-                0,
-                0,
-                0,
-                0,
-                0,
-                0,
-                0,
-                0,
-                static_cast<uint8_t>(number >> 8),
-                static_cast<uint8_t>(number),
-                0,
-                0,
-                1,
-                0xc1};
-  return guid;
-}
-
-Guid EndpointGuid(uint16_t participant, uint8_t number, bool writer = true) {
-  Guid guid = ParticipantGuid(participant);
-  guid.bytes[14] = number;
-  guid.bytes[15] = writer ? 0x03 : 0x04;
-  return guid;
-}
-
-constexpr uint16_t kOwn = 200;
-constexpr uint16_t kActuator = 201;
-
-auto Begins(const std::string& kind, const testing::Matcher<Guid>& guid) {
-  return AllOf(Field("kind", &Finding::kind, kind), Field("guid", &Finding::guid, guid),
-               Field("over", &Finding::over, false));
-}
-auto Ends(const std::string& kind, const testing::Matcher<Guid>& guid) {
-  return AllOf(Field("kind", &Finding::kind, kind), Field("guid", &Finding::guid, guid),
-               Field("over", &Finding::over, true));
-}
-
-// Steps time and plays the steps of a graph.
-class FindingsTest : public testing::Test {
- protected:
-  FindingsTest() { Restart({}); }
-
-  void Restart(FindingsOptions options) {
-    options.own = ParticipantGuid(kOwn);
-    findings_.emplace(std::move(options));
-    version_ = 0;
-    Step({});
-    findings_->SetConnected(true, now_ns_);
-    EXPECT_THAT(Poll(), IsEmpty());
-  }
-  void Step(GraphDelta delta) {
-    GraphChange change{.from_version = version_, .settled = true, .delta = std::move(delta)};
-    change.to_version = ++version_;
-    findings_->OnGraph(change, now_ns_);
-  }
-  std::vector<Finding> Poll() { return findings_->Poll(now_ns_); }
-  std::vector<Finding> After(int64_t ns) {
-    now_ns_ += ns;
-    return Poll();
-  }
-
-  static GraphDelta Process(uint16_t number, const std::string& node = "") {
-    GraphDelta delta;
-    delta.upsert_participants.push_back({.guid = ParticipantGuid(number), .host = "h", .pid = 7});
-    if (!node.empty()) {
-      delta.upsert_nodes.push_back({.full_name = node, .participant = ParticipantGuid(number)});
-    }
-    // The writer of ros_discovery_info.
-    delta.upsert_endpoints.push_back(
-        {.guid = EndpointGuid(number, 1), .name = "ros_discovery_info", .ros = false});
-    return delta;
-  }
-  static Endpoint Client(uint16_t participant, uint8_t number, const std::string& service) {
-    return {.guid = EndpointGuid(participant, number),
-            .kind = EndpointKind::kClient,
-            .name = service,
-            .type = "t"};
-  }
-  static Endpoint Service(uint16_t participant, uint8_t number, const std::string& service) {
-    return {.guid = EndpointGuid(participant, number, /*writer=*/false),
-            .kind = EndpointKind::kService,
-            .name = service,
-            .type = "t"};
-  }
-  static Endpoint Publisher(uint16_t participant, uint8_t number, const std::string& node,
-                            bool pending = false) {
-    return {.guid = EndpointGuid(participant, number),
-            .name = "/cmd_vel",
-            .type = "t",
-            .node = node,
-            .pending = pending};
-  }
-  void Gone(const Guid& guid) { Step({.gone_guids = {guid}}); }
-  void StartManager(uint16_t participant = 1) {
-    GraphDelta delta = Process(participant, "/safety");
-    delta.upsert_endpoints.push_back(Service(participant, 2, "/safety/change_mode"));
-    delta.upsert_endpoints.push_back(Service(participant, 3, "/camera/change_mode"));
-    // It steers the nodes below it.
-    delta.upsert_endpoints.push_back(Client(participant, 4, "/camera/change_state"));
-    Step(std::move(delta));
-  }
-
-  int64_t now_ns_ = 1'000 * kSecond;
-  uint64_t version_ = 0;
-  std::optional<Findings> findings_;
-};
 
 TEST_F(FindingsTest, OneNodeNameInTwoParticipants) {
   Step(Process(1, "/camera"));
@@ -434,6 +318,24 @@ TEST_F(FindingsTest, OfTwoManagersInTheFirstSnapshotNoneIsTrusted) {
   EXPECT_THAT(After(15 * kSecond),
               UnorderedElementsAre(Begins("foreign_mode_writer", EndpointGuid(1, 4)),
                                    Begins("foreign_mode_writer", EndpointGuid(2, 4))));
+}
+
+TEST_F(FindingsTest, ServerOfASlowNodeIsNoRival) {
+  findings_->SetProtectedParts({"/camera"});
+  GraphDelta slow = Process(1);
+  slow.upsert_endpoints.push_back(Service(1, 2, "/camera/get_state", ""));
+  slow.upsert_endpoints.push_back(Service(1, 3, "/camera/get_parameters", ""));
+  Step(slow);
+  EXPECT_THAT(Poll(), IsEmpty());
+  EXPECT_THAT(After(4'900 * kMs), IsEmpty());
+  slow.upsert_nodes = {{.full_name = "/camera", .participant = ParticipantGuid(1)}};
+  slow.upsert_endpoints[1].node = "/camera";
+  Step(slow);
+  EXPECT_THAT(After(200 * kMs), ElementsAre(Begins("rival_server", ParticipantGuid(1))))
+      << "one of them is still without";
+  slow.upsert_endpoints[2].node = "/camera";
+  Step(slow);
+  EXPECT_THAT(Poll(), ElementsAre(Ends("rival_server", ParticipantGuid(1))));
 }
 
 TEST_F(FindingsTest, WriterOfAProcessThatIsNotRos) {

@@ -21,6 +21,8 @@ namespace {
 constexpr uint32_t kServiceDepth = 10;
 // Matched peers looked at.
 constexpr size_t kPeersMax = 256;
+// Kept of a sample; replies of parameters may hold arrays.
+constexpr uint32_t kServiceBytesMax = 1U << 20;
 
 struct Peer {
   std::string service_id;
@@ -31,9 +33,9 @@ struct Peer {
     return service_id.empty() && participant.bytes[0] == 0x01 && participant.bytes[1] == 0x0f;
   }
 
+  // Anybody can copy a service id, so the participant counts as well.
   bool SameServer(const Peer& other) const {
-    return service_id.empty() && other.service_id.empty() ? participant == other.participant
-                                                          : service_id == other.service_id;
+    return participant == other.participant && service_id == other.service_id;
   }
 };
 
@@ -56,11 +58,17 @@ std::string UserData(ServiceSide side) {
 using ListMatched = dds_return_t (*)(dds_entity_t, dds_instance_handle_t*, size_t);
 using DescribeMatched = dds_builtintopic_endpoint_t* (*)(dds_entity_t, dds_instance_handle_t);
 
-std::vector<Peer> PeersOf(EntityHandle entity, ListMatched list, DescribeMatched describe) {
+struct Peers {
+  std::vector<Peer> all;
+  bool truncated = false;
+};
+
+Peers PeersOf(EntityHandle entity, ListMatched list, DescribeMatched describe) {
   std::vector<dds_instance_handle_t> handles(kPeersMax);
   const dds_return_t count = list(entity, handles.data(), handles.size());
+  Peers peers;
+  peers.truncated = count > static_cast<dds_return_t>(kPeersMax);
   handles.resize(std::min(handles.size(), static_cast<size_t>(std::max(count, 0))));
-  std::vector<Peer> peers;
   for (dds_instance_handle_t handle : handles) {
     dds_builtintopic_endpoint_t* data = describe(entity, handle);
     if (data == nullptr) continue;  // gone in the meantime
@@ -69,12 +77,12 @@ std::vector<Peer> PeersOf(EntityHandle entity, ListMatched list, DescribeMatched
     peer.participant = ToGuid(data->participant_key);
     peer.endpoint = ToGuid(data->key);
     dds_builtintopic_free_endpoint(data);
-    peers.push_back(std::move(peer));
+    peers.all.push_back(std::move(peer));
   }
   return peers;
 }
 
-std::vector<Peer> ReadersMatchedBy(const RawWriter& writer) {
+Peers ReadersMatchedBy(const RawWriter& writer) {
   return PeersOf(writer.entity(), dds_get_matched_subscriptions, dds_get_matched_subscription_data);
 }
 
@@ -108,6 +116,7 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
                          .type = client ? reply_type : request_type,
                          .reliable = true,
                          .depth = kServiceDepth,
+                         .payload_bytes_max = kServiceBytesMax,
                          .every_partition = false,
                          .ignore_own = false,
                          .user_data = user_data},
@@ -116,25 +125,31 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
   return endpoints;
 }
 
-std::optional<WholeServer> FindWholeServer(const ServiceEndpoints& client) {
-  const std::vector<Peer> readers = ReadersMatchedBy(*client.writer);
-  if (readers.empty()) return std::nullopt;
-  const std::vector<Peer> writers = PeersOf(client.reader->entity(), dds_get_matched_publications,
-                                            dds_get_matched_publication_data);
-  std::optional<WholeServer> found;
-  for (const Peer& reader : readers) {
-    const bool whole = std::any_of(writers.begin(), writers.end(),
-                                   [&](const Peer& writer) { return reader.SameServer(writer); });
-    if (!whole || (found.has_value() && reader.IsFastDds())) continue;
-    found = WholeServer{.request_reader = reader.endpoint, .fastrtps = reader.IsFastDds()};
-    if (!found->fastrtps) break;
+ServersFound FindServers(const ServiceEndpoints& client) {
+  ServersFound found;
+  const Peers readers = ReadersMatchedBy(*client.writer);
+  if (readers.all.empty()) return found;
+  const Peers writers = PeersOf(client.reader->entity(), dds_get_matched_publications,
+                                dds_get_matched_publication_data);
+  found.truncated = readers.truncated || writers.truncated;
+  for (const Peer& reader : readers.all) {
+    for (const Peer& writer : writers.all) {
+      if (!reader.SameServer(writer)) continue;
+      found.servers.push_back({.request_reader = reader.endpoint,
+                               .reply_writer = writer.endpoint,
+                               .fastrtps = reader.IsFastDds()});
+    }
   }
+  std::sort(found.servers.begin(), found.servers.end(),
+            [](const WholeServer& a, const WholeServer& b) {
+              return a.request_reader < b.request_reader;
+            });
   return found;
 }
 
 bool MatchesReaderOf(const RawWriter& writer, const ros2::Guid& participant) {
-  const std::vector<Peer> readers = ReadersMatchedBy(writer);
-  return std::any_of(readers.begin(), readers.end(),
+  const Peers readers = ReadersMatchedBy(writer);
+  return std::any_of(readers.all.begin(), readers.all.end(),
                      [&](const Peer& reader) { return reader.participant == participant; });
 }
 

@@ -4,7 +4,7 @@
 
 #include <functional>
 #include <memory>
-#include <optional>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "services/dds/participant.h"
@@ -31,15 +31,27 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
                                                         ServiceSide side,
                                                         ServiceCallback on_sample);
 
-// A peer that is matched by `writer` and by `reader`, and both of whose endpoints carry the same
-// "serviceid", or, if they carry none, belong to one participant. Of several, one of rmw_cyclonedds.
+// A server of the service, as seen by a client: a reader of requests and a writer of replies of one
+// participant, both matched, and both with the same "serviceid" or both without one.
 struct WholeServer {
   ros2::Guid request_reader;
+  ros2::Guid reply_writer;  // only its samples are replies of this server
   // It pairs replies with requests as rmw_fastrtps does: no header in the payload, but a related
   // sample identity beside it. Known by the vendor in the GUID (DDSI-RTPS 2.5 §9.3.1.5).
   bool fastrtps = false;
 };
-std::optional<WholeServer> FindWholeServer(const ServiceEndpoints& client);
+struct ServersFound {
+  std::vector<WholeServer> servers;  // in the order of their request readers' GUIDs
+  // More endpoints are matched than are looked at: some servers may be missing above.
+  bool truncated = false;
+
+  bool none() const { return servers.empty() && !truncated; }
+  // The only server there is; null if there is none, or several.
+  const WholeServer* sole() const {
+    return servers.size() == 1 && !truncated ? &servers.front() : nullptr;
+  }
+};
+ServersFound FindServers(const ServiceEndpoints& client);
 
 // Some reader of `participant` is matched by `writer`.
 bool MatchesReaderOf(const RawWriter& writer, const ros2::Guid& participant);

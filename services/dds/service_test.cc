@@ -1,4 +1,6 @@
 #include <atomic>
+#include <cmath>
+#include <set>
 #include <thread>
 #include <vector>
 
@@ -12,6 +14,8 @@
 #include "services/ros2/ros_name.h"
 #include "services/ros2/service_header.h"
 #include "services/runtime/mutex.h"
+#include "services/runtime/real_clock.h"
+#include "tests/support/ros2/forged_heartbeat.h"
 #include "tests/support/ros2/server_messages.h"
 #include "tests/support/ros2/service_server.h"
 #include "tests/support/ros2/test_world.h"
@@ -19,6 +23,7 @@
 namespace rips::dds {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 const ServiceOptions kService = {.service = "/safety/change_mode", .type = ros2::kChangeModeType};
@@ -33,7 +38,10 @@ class ServiceTest : public TestWorld {
     return *std::move(client);
   }
   std::unique_ptr<ServiceServer> Server(ServiceHandler handler) {
-    auto server = ServiceServer::Create(far(), kService, std::move(handler));
+    return ServerIn(far(), std::move(handler));
+  }
+  static std::unique_ptr<ServiceServer> ServerIn(Participant& in, ServiceHandler handler) {
+    auto server = ServiceServer::Create(in, kService, std::move(handler));
     EXPECT_THAT(server, IsOk());
     return *std::move(server);
   }
@@ -212,6 +220,146 @@ TEST_F(ServiceTest, HalvesOfTwoServersAreNoServer) {
   EXPECT_THAT(client->WaitForServer(kShort), StatusIs(absl::StatusCode::kDeadlineExceeded));
   const HandMadeServer whole(far(), none, "serviceid= 7.7;", "serviceid= 7.7;");
   EXPECT_THAT(client->WaitForServer(kLong), IsOk());
+}
+
+TEST_F(ServiceTest, OnlyTheServerThatWasAskedCanReply) {
+  // A writer of replies without a reader of requests, which is no server; it knows the request and
+  // is quicker than the server.
+  const auto forger =
+      *RawWriter::Create(third(), {.topic = ros2::MangleServiceReply(kService.service),
+                                   .type = ros2::MangleServiceReplyType(kService.type),
+                                   .user_data = "serviceid= 7.7;"});
+  std::atomic<bool> server_answers = false;
+  const HandMadeServer server(
+      far(),
+      [&](const ros2::ServiceMessage& request) {
+        EXPECT_THAT(forger->Write(Reply(request.header, "FORGED")), IsOk());
+        return server_answers ? std::vector<std::string>{Reply(request.header, "TRUE")}
+                              : std::vector<std::string>();
+      },
+      "serviceid= 7.7;", "serviceid= 7.7;");
+  const auto client = Client();
+  ASSERT_THAT(client->WaitForServer(kLong), IsOk());
+  ASSERT_TRUE(Eventually([&] { return forger->MatchedReaders() == 1; }));
+  EXPECT_EQ(client->Server(), server.reader().guid());
+  EXPECT_THAT(CallEcho(*client, "X", kShort),
+              StatusIs(absl::StatusCode::kDeadlineExceeded, HasSubstr("no reply")));
+  server_answers = true;
+  EXPECT_EQ(*CallEcho(*client, "X", kLong), "TRUE");
+}
+
+TEST_F(ServiceTest, OfSeveralServersNoneIsBelieved) {
+  std::atomic<bool> asked_first = false;
+  std::atomic<bool> asked_second = false;
+  const auto server = Server([&](absl::string_view request) {
+    asked_first = true;
+    return Echo(request);
+  });
+  auto second = ServerIn(third(), [&](absl::string_view request) {
+    asked_second = true;
+    return Echo(request);
+  });
+  const auto client = Client();
+  const auto several = [&] {
+    return absl::IsFailedPrecondition(CallEcho(*client, "X", kLong).status());
+  };
+  ASSERT_TRUE(Eventually(several));
+  EXPECT_TRUE(client->ServerReady());
+  EXPECT_EQ(client->Server(), std::nullopt);
+  asked_first = asked_second = false;
+  EXPECT_THAT(
+      CallEcho(*client, "X", kLong),
+      StatusIs(absl::StatusCode::kFailedPrecondition,
+               AllOf(HasSubstr("2 servers offer `/safety/change_mode`, of participants "),
+                     HasSubstr(ToString(far().guid())), HasSubstr(ToString(third().guid())))));
+  EXPECT_FALSE(asked_first || asked_second);
+  // An order goes to both, also when they hear nothing more of the client's first writer.
+  for (const ros2::Guid& victim : {far().guid(), third().guid()}) {
+    ASSERT_THAT(SendToDomain(RandomDomain(), ForgedHeartbeat(client->request_writer(), victim)),
+                IsOk());
+  }
+  const auto order = [&] {
+    EXPECT_THAT(client->Call(ros2::EncodeChangeModeRequest("X"), kLong, IfSeveral::kSendToAll),
+                StatusIs(absl::StatusCode::kFailedPrecondition));
+    return asked_first && asked_second;
+  };
+  EXPECT_TRUE(Eventually(order));
+
+  second.reset();
+  EXPECT_TRUE(Eventually([&] { return CallEcho(*client, "X", kLong).ok(); }));
+}
+
+TEST_F(ServiceTest, AServiceIdThatWasCopiedMakesNoServerOfTwoHalves) {
+  const auto none = [](const ros2::ServiceMessage&) { return std::vector<std::string>(); };
+  const HandMadeServer far_server(far(), none, "serviceid= 7.7;", "serviceid= 1.1;");
+  const HandMadeServer rival_server(third(), none, "serviceid= 2.2;", "serviceid= 7.7;");
+  const auto client = Client();
+  ASSERT_TRUE(Eventually([&] {
+    return far_server.writer().MatchedReaders() == 1 && rival_server.writer().MatchedReaders() == 1;
+  }));
+  EXPECT_THAT(client->WaitForServer(kShort), StatusIs(absl::StatusCode::kDeadlineExceeded));
+  const HandMadeServer whole(third(), none, "serviceid= 9.9;", "serviceid= 9.9;");
+  EXPECT_TRUE(Eventually([&] { return client->Server() == whole.reader().guid(); }));
+}
+
+TEST_F(ServiceTest, AmongTooManyEndpointsNoServerIsBelieved) {
+  const auto server = Server(Echo);
+  const auto client = Client();
+  ASSERT_EQ(*CallEcho(*client, "X", kLong), "X");
+  // Of the client's own participant: they are matched at once.
+  std::vector<std::unique_ptr<RawReader>> readers;
+  for (int i = 0; i < 256; ++i) {
+    readers.push_back(*RawReader::Create(near(),
+                                         {.topic = ros2::MangleServiceRequest(kService.service),
+                                          .type = ros2::MangleServiceRequestType(kService.type),
+                                          .ignore_own = false},
+                                         [](const RawSample&) {}));
+  }
+  EXPECT_THAT(CallEcho(*client, "X", kLong), StatusIs(absl::StatusCode::kFailedPrecondition,
+                                                      HasSubstr("too many endpoints offer")));
+  readers.pop_back();
+  EXPECT_TRUE(Eventually([&] { return CallEcho(*client, "X", kLong).ok(); }));
+}
+
+TEST_F(ServiceTest, AServerThatWasMadeDeafHearsTheNextCall) {
+  const auto server = Server(Echo);
+  const auto client = Client();
+  ASSERT_EQ(*CallEcho(*client, "BEFORE", kLong), "BEFORE");
+  ASSERT_THAT(SendToDomain(RandomDomain(), ForgedHeartbeat(client->request_writer(), far().guid())),
+              IsOk());
+  // The datagram and the next request race; one of the calls finds the server deaf.
+  ASSERT_TRUE(Eventually([&] { return !CallEcho(*client, "LOST", kShort).ok(); }));
+  EXPECT_EQ(*CallEcho(*client, "AFTER", kLong), "AFTER");
+}
+
+TEST_F(ServiceTest, ASilentServerCostsFewNewEndpoints) {
+  const auto server = Server([](absl::string_view) { return std::nullopt; });
+  const auto client = Client();
+  ASSERT_THAT(client->WaitForServer(kLong), IsOk());
+  const RealClock clock;
+  const int64_t start_ns = clock.Now().boottime_ns;
+  std::set<ros2::Guid> writers;
+  for (int i = 0; i < 20; ++i) {
+    EXPECT_FALSE(CallEcho(*client, "X", absl::Milliseconds(10)).ok());
+    writers.insert(client->request_writer());
+  }
+  const double seconds = static_cast<double>(clock.Now().boottime_ns - start_ns) / 1e9;
+  EXPECT_GE(writers.size(), 2u);
+  // The second at once, then after pauses of 1, 2, 4 ... s.
+  EXPECT_LE(writers.size(), 2 + std::floor(std::log2(1 + seconds)));
+}
+
+TEST_F(ServiceTest, AReplyThatIsTooLongIsIgnored) {
+  std::atomic<size_t> bytes = 2U << 20;
+  const HandMadeServer server(far(), [&](const ros2::ServiceMessage& request) {
+    return std::vector<std::string>{Reply(request.header, std::string(bytes, 'x'))};
+  });
+  const auto client = Client();
+  ASSERT_THAT(client->WaitForServer(kLong), IsOk());
+  EXPECT_THAT(CallEcho(*client, "X", absl::Seconds(1)),
+              StatusIs(absl::StatusCode::kDeadlineExceeded));
+  bytes = 3;
+  EXPECT_EQ(*CallEcho(*client, "X", kLong), "xxx");
 }
 
 TEST_F(ServiceTest, RequestsBeyondTheQueueAreDropped) {

@@ -1,20 +1,27 @@
 // SystemModes against a simulated robot whose mode manager or nodes fail, over real DDS.
 #include <memory>
+#include <set>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "mode_actuator/steps/system_mode/system_modes.h"
 #include "services/base/status_matchers.h"
+#include "services/dds/discovery.h"
 #include "services/dds/service_client.h"
 #include "services/ros2/system_modes_messages.h"
 #include "services/runtime/cancel_flag.h"
+#include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
 #include "tests/support/robot_sim/living_robot.h"
+#include "tests/support/ros2/forged_heartbeat.h"
+#include "tests/support/ros2/server_messages.h"
+#include "tests/support/ros2/service_server.h"
 #include "tests/support/ros2/test_world.h"
 
 namespace rips::actuator {
@@ -336,6 +343,94 @@ TEST_F(ModesOnRobotTest, AStrangersOrderIsDrift) {
                                        HasSubstr("/eye is active, expected inactive")));
   EXPECT_THAT(Enter("ALERT").status, IsOk());
   EXPECT_EQ(robot->Mode(), "ALERT");
+}
+
+// --- a rival, and servers that were made deaf
+
+TEST_F(ModesOnRobotTest, WhatARivalServesIsNeverReachedAndTheRobotIsOrdered) {
+  LivingRobot& robot = Robot();
+  Modes();
+  ASSERT_THAT(Enter("__DEFAULT__").status, IsOk());
+  auto rival = std::make_unique<LivingRobot>(third(), smh_);
+  ASSERT_TRUE(dds::Eventually([&] {
+    const absl::Status status = Check("__DEFAULT__");
+    return absl::StrContains(status.message(), "2 servers offer `/eye/get_state`") &&
+           absl::StrContains(status.message(), "2 servers offer `/wheels/get_state`");
+  }));
+  const ModeReading reading = Enter("ALERT", kBrief, 1);
+  EXPECT_THAT(reading.status,
+              StatusIs(absl::StatusCode::kDeadlineExceeded,
+                       AllOf(HasSubstr("the order failed: 2 servers offer `/safety/change_mode`"),
+                             HasSubstr("2 servers offer `/eye/get_state`"))));
+  EXPECT_EQ(robot->Mode(), "ALERT") << "all have the order";
+  // Without a manager the nodes have it, but none is activated that cannot be read.
+  robot->With([](ModeMachine& machine) { machine.SetConduct(ManagerConduct::kLie); });
+  EXPECT_FALSE(Enter("HALT", kBrief, 1).status.ok());
+  EXPECT_EQ(robot->Mode(), "HALT");
+  EXPECT_FALSE(Enter("__DEFAULT__", kBrief, 1).status.ok());
+  EXPECT_TRUE(robot->With([](ModeMachine& machine) {
+    return !machine.nodes().at(kEye).active && !machine.nodes().at(kWheels).active;
+  }));
+
+  rival.reset();
+  EXPECT_TRUE(dds::Eventually([&] { return Enter("__DEFAULT__").status.ok(); }));
+  EXPECT_EQ(robot->Mode(), "__DEFAULT__");
+}
+
+TEST_F(ModesOnRobotTest, OfTwoManagersNoneIsNeeded) {
+  LivingRobot& robot = Robot();
+  Modes();
+  ASSERT_THAT(Enter("__DEFAULT__").status, IsOk());
+  const auto rival = dds::ServiceServer::Create(
+      third(), {.service = "/safety/change_mode", .type = ros2::kChangeModeType},
+      [](absl::string_view) { return ros2::EncodeSuccessReply(true); });
+  ASSERT_THAT(rival, IsOk());
+  const std::string several = "the order failed: 2 servers offer `/safety/change_mode`";
+  ModeReading reading;
+  EXPECT_TRUE(dds::Eventually([&] {
+    for (const char* mode : {"__DEFAULT__", "ALERT"}) {
+      reading = Enter(mode);
+      EXPECT_THAT(reading.status, IsOk());
+      EXPECT_EQ(robot->Mode(), mode);
+    }
+    return absl::StrContains(reading.note, several);
+  }));
+  EXPECT_THAT(Check("ALERT"), IsOk());
+}
+
+TEST_F(ModesOnRobotTest, ServersThatWereMadeDeafHearTheNextOrder) {
+  LivingRobot& robot = Robot();
+  Modes();
+  ASSERT_THAT(Enter("__DEFAULT__").status, IsOk());
+  Mutex mu;
+  std::set<ros2::Guid> clients;
+  const auto discovery = dds::Discovery::Create(
+      third(), {.on_endpoint = [&](const dds::EndpointSeen& seen) {
+        if (!seen.alive || !seen.writer || !absl::StartsWith(seen.topic, "rq/")) return;
+        if (seen.participant != near().guid()) return;
+        MutexLock lock(&mu);
+        clients.insert(seen.guid);
+      }});
+  ASSERT_THAT(discovery, IsOk());
+  const auto forge = [&] {
+    MutexLock lock(&mu);
+    for (const ros2::Guid& client : clients) {
+      for (const ros2::Guid& victim : robot->Participants()) {
+        ASSERT_THAT(dds::SendToDomain(dds::RandomDomain(), dds::ForgedHeartbeat(client, victim)),
+                    IsOk());
+      }
+    }
+  };
+  // 4 of the manager, 4 of each node. The datagrams and what is asked next race.
+  ASSERT_TRUE(dds::Eventually([&] {
+    MutexLock lock(&mu);
+    return clients.size() == 12;
+  }));
+  forge();
+  ASSERT_TRUE(dds::Eventually([&] { return !Check("__DEFAULT__").ok(); }));
+  EXPECT_THAT(Enter("ALERT").status, IsOk());
+  EXPECT_EQ(robot->Mode(), "ALERT");
+  EXPECT_THAT(Check("ALERT"), IsOk());
 }
 
 // --- two orders at once: the second is for the mode the manager is just leaving

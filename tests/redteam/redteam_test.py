@@ -22,6 +22,7 @@ import connection_attacks  # noqa: E402,F401
 import fairness_attacks  # noqa: E402,F401
 import field_attacks  # noqa: E402,F401
 import graph_attacks  # noqa: E402,F401
+import rival_attacks  # noqa: E402,F401
 import stream_attacks  # noqa: E402,F401
 from fleet import SOURCE, perform  # noqa: E402
 from guarded import (ADMITTED_S, DISK_MIB, MEMORY_MIB, QUICK, SCENARIOS,  # noqa: E402

@@ -38,6 +38,16 @@ absl::Status OrderNode(NodeClient& node, const ExpectedPart& expected, const Nod
   return absl::OkStatus();
 }
 
+// What can be ordered of a node whose state is not known.
+void OrderUnread(NodeClient& node, const ExpectedPart& expected) {
+  // Whether it was heard is not known either.
+  if (expected.state == PartState::kInactive) {
+    node.Transition(kTransitionDeactivate).IgnoreError();
+  } else if (!expected.parameters.empty()) {
+    node.SetParameters(expected.parameters).IgnoreError();
+  }
+}
+
 // One round over the nodes after the other.
 class Rounds {
  public:
@@ -57,7 +67,9 @@ class Rounds {
       const auto why = refusals_.find(part->node);
       wrong.push_back(why == refusals_.end() ? view.wrong
                                              : absl::StrCat(view.wrong, " (", why->second, ")"));
-      if (!view.answers) {
+      if (view.ambiguous && !view.answers) {
+        OrderAll(*part);
+      } else if (!view.answers) {
         slow_.insert(part->node);
       } else if (part->state == PartState::kActive && !view.state_ok) {
         to_activate.emplace_back(part, std::move(view));
@@ -68,11 +80,18 @@ class Rounds {
     for (const auto& [part, view] : to_activate) Order(*part, view);
     return wrong;
   }
-  bool failing() const { return !refusals_.empty() || !slow_.empty(); }
+  bool failing() const { return !refusals_.empty() || !slow_.empty() || !unread_ns_.empty(); }
 
  private:
   int Rank(const ExpectedPart& part) const {
     return (slow_.contains(part.node) ? 2 : 0) + (part.state == PartState::kActive ? 1 : 0);
+  }
+  void OrderAll(const ExpectedPart& part) {
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    const auto [last_ns, is_first] = unread_ns_.try_emplace(part.node, now_ns);
+    if (!is_first && now_ns - last_ns->second < absl::ToInt64Nanoseconds(kBlindPeriod)) return;
+    last_ns->second = now_ns;
+    OrderUnread(*nodes_.at(part.node), part);
   }
   void Order(const ExpectedPart& part, const NodeView& view) {
     if (cancel_.cancelled() || clock_.Now().boottime_ns >= end_ns_) return;
@@ -88,6 +107,7 @@ class Rounds {
   const CancelFlag& cancel_;
   absl::btree_map<std::string, std::string> refusals_;  // why the last order failed
   std::set<std::string> slow_;
+  absl::btree_map<std::string, int64_t> unread_ns_;  // when OrderAll ordered it last
 };
 
 }  // namespace

@@ -7,6 +7,9 @@
 //   3. what must become active is configured if need be, gets its parameters, and is activated
 // A node that is silent or refuses does not keep the others waiting for more than one call
 // (kNodeOrderTimeout); it is asked last from then on.
+// A node whose get_state several servers offer is not read, and nothing of it counts as reached. So
+// that the robot's own node has its order all the same, each of them gets it, every kBlindPeriod:
+// to deactivate, or to take the parameters. None is activated unread.
 #ifndef RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_DIRECT_MODES_H_
 #define RIPS_MODE_ACTUATOR_STEPS_SYSTEM_MODE_DIRECT_MODES_H_
 
@@ -26,6 +29,7 @@
 namespace rips::actuator {
 
 inline constexpr absl::Duration kReadPeriod = absl::Milliseconds(100);  // between two looks
+inline constexpr absl::Duration kBlindPeriod = absl::Milliseconds(500);
 inline constexpr size_t kDetailPartsMax = 8;  // parts named in one message
 
 using NodeClients = absl::btree_map<std::string, std::unique_ptr<NodeClient>>;

@@ -34,14 +34,15 @@ absl::StatusOr<std::unique_ptr<ManagerClient>> ManagerClient::Create(
 absl::StatusOr<bool> ManagerClient::Order(absl::string_view mode, absl::Duration timeout) {
   RIPS_ASSIGN_OR_RETURN(
       const std::string reply,
-      change_mode_->Call(ros2::EncodeChangeModeRequest(mode), std::min(timeout, kOrderTimeout)));
+      change_mode_->Call(ros2::EncodeChangeModeRequest(mode), std::min(timeout, kOrderTimeout),
+                         dds::IfSeveral::kSendToAll));
   return ros2::DecodeSuccessReply(reply);
 }
 
 absl::StatusOr<bool> ManagerClient::OrderIfThere(absl::string_view mode) {
-  RIPS_ASSIGN_OR_RETURN(
-      const std::string reply,
-      AskIfThere(*change_mode_, ros2::EncodeChangeModeRequest(mode), kReadTimeout));
+  RIPS_ASSIGN_OR_RETURN(const std::string reply,
+                        AskIfThere(*change_mode_, ros2::EncodeChangeModeRequest(mode), kReadTimeout,
+                                   dds::IfSeveral::kSendToAll));
   return ros2::DecodeSuccessReply(reply);
 }
 
@@ -49,9 +50,11 @@ ManagerView ManagerClient::Poll(absl::string_view mode, absl::Duration timeout) 
   ManagerView view;
   const absl::StatusOr<std::string> state_reply =
       AskIfThere(*get_state_, ros2::EncodeEmptyRequest(), timeout);
-  if (!state_reply.ok()) return view;
   const absl::StatusOr<std::string> mode_reply =
-      AskIfThere(*get_mode_, ros2::EncodeEmptyRequest(), timeout);
+      state_reply.ok() ? AskIfThere(*get_mode_, ros2::EncodeEmptyRequest(), timeout) : state_reply;
+  if (absl::IsFailedPrecondition(mode_reply.status())) {
+    view.says = std::string(mode_reply.status().message());
+  }
   if (!mode_reply.ok()) return view;
   const absl::StatusOr<ros2::LifecycleLabel> state = ros2::DecodeGetStateReply(*state_reply);
   const absl::StatusOr<std::string> now = ros2::DecodeGetModeReply(*mode_reply);

@@ -40,7 +40,8 @@ class ManagerClient {
                                                                const std::string& part);
 
   // Its answer to the order; false = it refuses. DeadlineExceeded after `timeout`, or kOrderTimeout
-  // if that is shorter, whether it is not there or does not answer.
+  // if that is shorter, whether it is not there or does not answer. FailedPrecondition, naming
+  // participants, if there are several managers: all of them have the order then.
   absl::StatusOr<bool> Order(absl::string_view mode, absl::Duration timeout);
   // As above, but does not wait for one that is not there: Unavailable.
   absl::StatusOr<bool> OrderIfThere(absl::string_view mode);
@@ -48,7 +49,8 @@ class ManagerClient {
   ManagerView Poll(absl::string_view mode, absl::Duration timeout = kReadTimeout);
   absl::StatusOr<std::vector<std::string>> AvailableModes();
 
-  // The endpoint that takes orders: another one after a restart. nullopt = there is none.
+  // The endpoint that takes orders: another one after a restart. nullopt = there is none, or there
+  // are several.
   std::optional<ros2::Guid> server() const;
 
  private:

@@ -64,11 +64,11 @@ uint8_t NextTransition(uint8_t state, PartState wanted) {
 }
 
 absl::StatusOr<std::string> AskIfThere(ServiceClient& client, const std::string& request,
-                                       absl::Duration timeout) {
+                                       absl::Duration timeout, dds::IfSeveral if_several) {
   if (!client.ServerReady()) {
     return absl::UnavailableError(absl::StrCat("`", client.service(), "` is not there"));
   }
-  return client.Call(request, timeout);
+  return client.Call(request, timeout, if_several);
 }
 
 absl::StatusOr<std::unique_ptr<NodeClient>> NodeClient::Create(const dds::Participant& participant,
@@ -86,10 +86,19 @@ absl::StatusOr<std::unique_ptr<NodeClient>> NodeClient::Create(const dds::Partic
   return node;
 }
 
+void NodeClient::SuspectAll() {
+  for (ServiceClient* each :
+       {get_state_.get(), get_parameters_.get(), change_state_.get(), set_parameters_.get()}) {
+    each->Suspect();
+  }
+}
+
 absl::StatusOr<uint8_t> NodeClient::State(absl::Duration timeout) {
-  RIPS_ASSIGN_OR_RETURN(const std::string reply,
-                        AskIfThere(*get_state_, ros2::EncodeEmptyRequest(), timeout));
-  RIPS_ASSIGN_OR_RETURN(const ros2::LifecycleLabel state, ros2::DecodeGetStateReply(reply));
+  const absl::StatusOr<std::string> reply =
+      AskIfThere(*get_state_, ros2::EncodeEmptyRequest(), timeout);
+  if (absl::IsDeadlineExceeded(reply.status())) SuspectAll();
+  RIPS_RETURN_IF_ERROR(reply.status());
+  RIPS_ASSIGN_OR_RETURN(const ros2::LifecycleLabel state, ros2::DecodeGetStateReply(*reply));
   return state.id;
 }
 
@@ -103,7 +112,9 @@ void NodeClient::JudgeParameters(const ExpectedPart& expected, absl::Duration ti
       AskIfThere(*get_parameters_, ros2::EncodeGetParametersRequest(names), timeout);
   view.complete = reply.ok();
   if (!reply.ok()) {
-    view.wrong = absl::StrCat(name_, " does not report its parameters");
+    view.ambiguous = absl::IsFailedPrecondition(reply.status());
+    view.wrong = view.ambiguous ? std::string(reply.status().message())
+                                : absl::StrCat(name_, " does not report its parameters");
     return;
   }
   const auto values = ros2::DecodeGetParametersReply(*reply);
@@ -127,6 +138,11 @@ void NodeClient::JudgeParameters(const ExpectedPart& expected, absl::Duration ti
 NodeView NodeClient::Poll(const ExpectedPart& expected, absl::Duration timeout) {
   NodeView view;
   const absl::StatusOr<uint8_t> state = State(timeout);
+  view.ambiguous = absl::IsFailedPrecondition(state.status());
+  if (view.ambiguous) {
+    view.wrong = std::string(state.status().message());
+    return view;
+  }
   if (!state.ok()) {
     view.wrong = absl::StrCat(
         name_, absl::IsDataLoss(state.status()) ? " sent an invalid answer" : " does not answer");
@@ -149,7 +165,7 @@ absl::Status NodeClient::Transition(uint8_t transition) {
   RIPS_ASSIGN_OR_RETURN(
       const std::string reply,
       AskIfThere(*change_state_, ros2::EncodeChangeStateRequest({.id = transition, .label = ""}),
-                 kNodeOrderTimeout));
+                 kNodeOrderTimeout, dds::IfSeveral::kSendToAll));
   RIPS_ASSIGN_OR_RETURN(const bool success, ros2::DecodeSuccessReply(reply));
   if (success) return absl::OkStatus();
   return absl::FailedPreconditionError(
@@ -159,9 +175,9 @@ absl::Status NodeClient::Transition(uint8_t transition) {
 absl::Status NodeClient::SetParameters(const ParameterMap& parameters) {
   std::vector<ros2::NamedParameter> list;
   for (const auto& [name, value] : parameters) list.push_back({name, value});
-  RIPS_ASSIGN_OR_RETURN(
-      const std::string reply,
-      AskIfThere(*set_parameters_, ros2::EncodeSetParametersRequest(list), kNodeOrderTimeout));
+  RIPS_ASSIGN_OR_RETURN(const std::string reply,
+                        AskIfThere(*set_parameters_, ros2::EncodeSetParametersRequest(list),
+                                   kNodeOrderTimeout, dds::IfSeveral::kSendToAll));
   RIPS_ASSIGN_OR_RETURN(const ros2::SetParametersResult result,
                         ros2::DecodeSetParametersReply(reply));
   if (result.successful) return absl::OkStatus();

@@ -37,6 +37,8 @@ uint8_t NextTransition(uint8_t state, PartState wanted);
 // What a look at one node gave.
 struct NodeView {
   bool answers = false;
+  // Several servers offer a service that the look asks: what they say counts for nothing.
+  bool ambiguous = false;
   uint8_t state = 0;
   bool state_ok = false;
   // Each question that the look asks was answered.
@@ -46,9 +48,11 @@ struct NodeView {
   std::string wrong;
 };
 
-// A call to `client` that does not wait for a server that is not there: Unavailable.
+// A call to `client` that does not wait for a server that is not there: Unavailable. Otherwise as
+// ServiceClient::Call; FailedPrecondition, naming participants, if several servers offer it.
 absl::StatusOr<std::string> AskIfThere(dds::ServiceClient& client, const std::string& request,
-                                       absl::Duration timeout = kReadTimeout);
+                                       absl::Duration timeout = kReadTimeout,
+                                       dds::IfSeveral if_several = dds::IfSeveral::kAskNone);
 
 // One thread at a time. Must not outlive its participant.
 class NodeClient {
@@ -56,12 +60,13 @@ class NodeClient {
   static absl::StatusOr<std::unique_ptr<NodeClient>> Create(const dds::Participant& participant,
                                                             const std::string& name);
 
-  // Its lifecycle state. Unavailable if no node answers.
+  // Its lifecycle state. Unavailable if no node answers; FailedPrecondition as AskIfThere.
   absl::StatusOr<uint8_t> State(absl::Duration timeout = kReadTimeout);
   // Looks at state and, where some are expected, parameters. `timeout` of each call.
   NodeView Poll(const ExpectedPart& expected, absl::Duration timeout = kReadTimeout);
 
-  // FailedPrecondition if the node refuses; Unavailable and DeadlineExceeded as calls give them.
+  // FailedPrecondition if the node refuses, or if several servers offer the service: then all of
+  // them have the order. Unavailable and DeadlineExceeded as calls give them.
   absl::Status Transition(uint8_t transition);
   // All or none of them.
   absl::Status SetParameters(const ParameterMap& parameters);
@@ -69,6 +74,8 @@ class NodeClient {
  private:
   explicit NodeClient(std::string name) : name_(std::move(name)) {}
   void JudgeParameters(const ExpectedPart& expected, absl::Duration timeout, NodeView& view);
+  // What is deaf to one client of ours may be so to all: see ServiceClient::Suspect.
+  void SuspectAll();
 
   const std::string name_;
   std::unique_ptr<dds::ServiceClient> get_state_;

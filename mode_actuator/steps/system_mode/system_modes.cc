@@ -114,6 +114,10 @@ bool SystemModes::OrderManager(Task& task, int64_t end_ns, Attempt& attempt) {
     attempt.hopeless = may_go_direct();
     attempt.reading.status =
         absl::UnavailableError(absl::StrCat("the order failed: ", order.status().message()));
+    // All have it: not again at once.
+    if (absl::IsFailedPrecondition(order.status()) && !attempt.hopeless) {
+      task.cancel.WaitFor(kReorderAfter);
+    }
   }
   return false;
 }
@@ -273,7 +277,9 @@ ModeReading SystemModes::Check(absl::string_view part_name, absl::string_view mo
 absl::Status SystemModes::CheckManager(const std::string& name, Part& part,
                                        const std::vector<std::string>& modes) const {
   const absl::StatusOr<std::vector<std::string>> available = part.manager->AvailableModes();
-  if (absl::IsDataLoss(available.status())) return available.status();
+  if (absl::IsDataLoss(available.status()) || absl::IsFailedPrecondition(available.status())) {
+    return available.status();
+  }
   if (!available.ok()) {
     return absl::UnavailableError(
         absl::StrCat("no mode manager of ", QuoteBytes(name), " answers"));
@@ -289,6 +295,7 @@ absl::Status SystemModes::CheckManager(const std::string& name, Part& part,
 
 absl::Status SystemModes::CheckNode(const std::string& name, NodeClient& node) {
   const absl::StatusOr<uint8_t> state = node.State();
+  if (absl::IsFailedPrecondition(state.status())) return state.status();
   if (!state.ok()) return absl::UnavailableError(absl::StrCat(name, " does not answer"));
   if (*state == kStateUnconfigured) {
     return absl::FailedPreconditionError(

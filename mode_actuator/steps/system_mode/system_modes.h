@@ -8,12 +8,17 @@
 // may be silent (no answer, state unknown, mode "" or "unknown") or still be in transition, but must
 // not name another mode. With Verify::kManager only the manager is asked.
 //
+// Only the one server there is counts. While several participants offer a service of a node,
+// nothing of the node is read, so its part is not reached; of several mode managers none answers,
+// so the nodes decide, or, with Verify::kManager, the part is not reached. Orders go to all of
+// them. A server that died is one of them until its lease ends.
+//
 // With Fallback::kDirect a mode manager that fails is gone without. A step has timeout x (1 +
 // retries); the nodes themselves are ordered (direct_modes.h) with what is left of it once
 // | the mode manager                                      | at the latest                         |
 // |-------------------------------------------------------|---------------------------------------|
 // | is not there, or does not answer an order             | after kOrderTimeout                   |
-// | refuses                                               | at once                               |
+// | refuses; there are several                            | at once                               |
 // | did not get the parts there, or names another mode    | before the last attempt; with one     |
 // |                                                       | attempt at half of it                 |
 // | failed the last time: ordered, but not waited for     | at once                               |

@@ -20,6 +20,7 @@ namespace rips::actuator {
 namespace {
 
 using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -423,6 +424,59 @@ TEST_F(SystemModesTest, WithVerifyManagerOnlyTheManagerIsRead) {
   const PartReading reading = ReadUntil(modes, [](const PartReading& r) { return r.complete; });
   EXPECT_EQ(reading.named, "ALERT");
   EXPECT_THAT(reading.agreeing, IsEmpty());
+}
+
+TEST_F(SystemModesTest, NothingIsReadOfAPartThatTwoParticipantsServe) {
+  FakeRobot& robot = Robot();
+  SystemModes& modes = Modes();
+  ASSERT_THAT(Alert(modes).status, IsOk());
+  ReadUntil(modes, [](const PartReading& r) { return r.answers == 3; });
+  // The rival says of everything what a level wants to hear.
+  auto rival = std::make_unique<FakeRobot>(&third());
+  rival->Set(&FakeRobot::mode_, std::string("ALERT"));
+  PartReading reading = ReadUntil(modes, [](const PartReading& r) { return r.answers == 0; });
+  EXPECT_EQ(reading.named, "");
+  EXPECT_THAT(reading.agreeing, IsEmpty());
+  EXPECT_FALSE(reading.complete);
+
+  EXPECT_THAT(modes.Check("/safety", "ALERT", cancel_).status,
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       AllOf(HasSubstr("2 servers offer `/camera/get_state`, of participants "),
+                             HasSubstr("2 servers offer `/motors/get_state`"),
+                             HasSubstr(ToString(third().guid())))));
+  const auto several = StatusIs(absl::StatusCode::kFailedPrecondition,
+                                AllOf(HasSubstr("2 servers offer `/safety/get_available_modes`"),
+                                      HasSubstr("2 servers offer `/camera/get_state`")));
+  EXPECT_THAT(modes.Probe("/safety", "ALERT", cancel_).status, several);
+  EXPECT_THAT(modes.CheckAvailable(), StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(modes.Degraded(), Contains(HasSubstr("2 servers offer `/camera/get_state`")));
+  const int orders = robot.orders();
+  EXPECT_THAT(Alert(modes, absl::Milliseconds(300)).status,
+              StatusIs(absl::StatusCode::kUnavailable,
+                       HasSubstr("the order failed: 2 servers offer `/safety/change_mode`")));
+  EXPECT_TRUE(dds::Eventually([&] { return robot.orders() > orders; })) << "it is ordered";
+
+  rival.reset();
+  EXPECT_TRUE(dds::Eventually([&] { return Alert(modes).status.ok(); }));
+}
+
+TEST_F(SystemModesTest, OfTwoManagersNoneAnswers) {
+  FakeRobot& robot = Robot();
+  SystemModes& modes = Modes(Verify::kManager);
+  Warm(modes);
+  auto rival = std::make_unique<FakeRobot>(&third());
+  rival->StopNodes();
+  rival->Set(&FakeRobot::mode_, std::string("ALERT"));
+  const auto several =
+      StatusIs(absl::StatusCode::kFailedPrecondition, HasSubstr("2 servers offer `/safety/get_"));
+  EXPECT_TRUE(dds::Eventually([&] {
+    const absl::Status status = modes.Check("/safety", "__DEFAULT__", cancel_).status;
+    return ::testing::Matches(several)(status);
+  }));
+  EXPECT_THAT(modes.Check("/safety", "ALERT", cancel_).status, several);
+  robot.StopManager();
+  EXPECT_TRUE(dds::Eventually([&] { return modes.Check("/safety", "ALERT", cancel_).status.ok(); }))
+      << "the only one there is, is believed";
 }
 
 TEST_F(SystemModesTest, CancelEndsAnOrder) {

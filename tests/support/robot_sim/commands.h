@@ -76,6 +76,22 @@ struct IntruderCommand {
 //                                                    or on reception (unknown node)
 absl::Status RunIntruder(const IntruderCommand& command, StopFlag& stop);
 
+struct RivalCommand {
+  dds::DomainOptions domain;
+  // The robot whose parts it serves, too.
+  std::string smh_file;
+  std::string system = "/safety";
+  // It forges heartbeats of the clients of these parts that it sees, to the robot's servers, which
+  // then drop what these clients send: once of each that is there when it starts, or of every one
+  // again and again.
+  bool deafen = false;
+  bool deafen_always = false;
+};
+// A process without a node that serves every part of a robot: it takes each order, is in the mode
+// at once, and publishes nothing.
+// {"event":"rival","clients":24}   it serves, and has forged heartbeats of so many clients
+absl::Status RunRival(const RivalCommand& command, StopFlag& stop);
+
 struct ProbeCommand {
   dds::DomainOptions domain;
   DdsSettings security;

@@ -1,5 +1,5 @@
 // A small ROS 2 robot on real DDS, its intruders, and what is needed to look at it:
-// robot_sim robot|intruder|probe|observe|publish|mode|set-mode; see commands.h.
+// robot_sim robot|intruder|rival|probe|observe|publish|mode|set-mode; see commands.h.
 #include <csignal>
 #include <functional>
 #include <map>
@@ -94,6 +94,19 @@ void AddIntruder(CLI::App& app, IntruderCommand& command, Run& run) {
   sub->callback([&] { run = [&command](StopFlag& stop) { return RunIntruder(command, stop); }; });
 }
 
+void AddRival(CLI::App& app, RivalCommand& command, Run& run) {
+  CLI::App* sub = app.add_subcommand("rival", "serve the parts of a robot beside it");
+  sub->add_option("--domain", command.domain.id, "DDS domain id")
+      ->required()
+      ->check(CLI::Range(0, 100));
+  sub->add_option("--interface", command.domain.interface, "network interface")->default_val("lo");
+  sub->add_option("--smh", command.smh_file, "the robot's System Modes file")->required();
+  sub->add_option("--system", command.system, "the system whose modes are switched");
+  sub->add_flag("--deafen", command.deafen, "make the robot's servers deaf to clients, once");
+  sub->add_flag("--deafen-always", command.deafen_always, "also to those that come, and again");
+  sub->callback([&] { run = [&command](StopFlag& stop) { return RunRival(command, stop); }; });
+}
+
 void AddProbe(CLI::App& app, ProbeCommand& command, Run& run) {
   CLI::App* sub =
       Subcommand(app, "probe", "measure the rate of a topic", command.domain, command.security);
@@ -149,6 +162,7 @@ void AddModes(CLI::App& app, ModeCommand& command, Run& run) {
 int Main(int argc, char** argv) {
   RobotCommand robot;
   IntruderCommand intruder;
+  RivalCommand rival;
   ProbeCommand probe;
   ObserveCommand observe;
   PublishCommand publish;
@@ -158,6 +172,7 @@ int Main(int argc, char** argv) {
   app.require_subcommand(1);
   AddRobot(app, robot, run);
   AddIntruder(app, intruder, run);
+  AddRival(app, rival, run);
   AddProbe(app, probe, run);
   AddObserve(app, observe, run);
   AddPublish(app, publish, run);

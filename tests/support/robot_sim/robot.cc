@@ -485,6 +485,15 @@ std::string Robot::Mode() const {
   return machine_.TrueMode();
 }
 
+std::vector<ros2::Guid> Robot::Participants() const {
+  std::vector<ros2::Guid> guids;
+  for (const std::unique_ptr<RosProcess>& process : processes_) {
+    guids.push_back(process->participant().guid());
+  }
+  if (manager_ != nullptr) guids.push_back(manager_->participant().guid());
+  return guids;
+}
+
 std::vector<std::string> Robot::NodeNames() const {
   std::vector<std::string> names;
   for (const std::unique_ptr<RosProcess>& process : processes_) {

@@ -96,6 +96,8 @@ class Robot {
   int orders() const { return orders_; }
   int direct_orders() const { return direct_orders_; }
   std::vector<std::string> NodeNames() const;
+  // Of its processes, the manager's included.
+  std::vector<ros2::Guid> Participants() const;
 
  private:
   struct TopicSpec;

@@ -57,6 +57,9 @@ class RosNode {
   absl::Status Serve(absl::string_view service, absl::string_view type,
                      dds::ServiceHandler handler = {});
 
+  // The parameter services of Create.
+  absl::Status AddParameterServices(ParameterSource parameters, ParameterSink sink);
+
   const std::string& full_name() const { return full_name_; }
   dds::RawWriter* log() const { return log_; }
   dds::RawWriter* parameter_events() const { return parameter_events_; }
@@ -64,7 +67,6 @@ class RosNode {
 
  private:
   RosNode(const dds::Participant& participant, absl::string_view full_name);
-  absl::Status AddParameterServices(ParameterSource parameters, ParameterSink sink);
 
   const dds::Participant& participant_;  // Not owned; outlives this.
   std::string full_name_;

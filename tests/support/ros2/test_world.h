@@ -59,6 +59,11 @@ class TestWorld : public ::testing::Test {
 
   Participant& near() { return *near_; }
   Participant& far() { return *far_; }
+  // One more, once it is asked for.
+  Participant& third() {
+    if (third_ == nullptr) third_ = Side(3);
+    return *third_;
+  }
   // The other side vanishes.
   void DropFar() { far_.reset(); }
 
@@ -72,6 +77,7 @@ class TestWorld : public ::testing::Test {
 
   std::unique_ptr<Participant> near_;
   std::unique_ptr<Participant> far_;
+  std::unique_ptr<Participant> third_;
 };
 
 // True as soon as `condition` is; false if it is not within `limit`.
