@@ -1,17 +1,17 @@
 // Decides when the DDS part of a process must begin again because the host's addresses have
 // changed. Cyclone keeps the address that its interface had when the domain began.
 //
-// | of what the domain took                    | then                                               |
-// |--------------------------------------------|----------------------------------------------------|
-// | all is there; another address came or went | nothing                                            |
-// | an address is gone, and its interface has  | a problem at once; begins again when the next look |
-// | another                                    | finds the same                                     |
-// | an address is gone, and its interface has  | a problem at once; ends when it has been gone for  |
-// | none                                       | kGoneNs: it may come back, and all goes on         |
-// | all is there, but Cyclone chose it itself  | begins again when that has been so for kBetterNs   |
-// | and would choose another interface now     |                                                    |
-// Each beginning takes one of kBurst turns, of which one comes back every kTurnNs: an interface that
-// flaps costs no more. The problem stands until SeenAgain.
+// | of what the domain took                    | then                                          |
+// |--------------------------------------------|-----------------------------------------------|
+// | all is there; another address came or went | nothing                                       |
+// | an address is gone, and its interface has  | a problem at once; begins again when the next |
+// | another                                    | look finds the same                           |
+// | an address is gone, and its interface has  | a problem at once; ends when it has been gone |
+// | none                                       | for kGoneNs: it may come back unharmed        |
+// | all is there, but Cyclone chose it itself  | begins again when that has been so for        |
+// | and would choose another interface now     | kBetterNs                                     |
+// Each beginning takes one of kBurst turns, of which one comes back every kTurnNs: an interface
+// that flaps costs no more. The problem stands until SeenAgain.
 #ifndef RIPS_SERVICES_DDS_ADDRESS_WATCH_H_
 #define RIPS_SERVICES_DDS_ADDRESS_WATCH_H_
 
