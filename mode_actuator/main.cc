@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -101,10 +102,12 @@ class Running {
   absl::Status Wait(rips::SignalWaiter& signals) {
     while (!signals.WaitForShutdown(kLook)) {
       if (!Look()) continue;
+      std::unique_ptr<Agent> old;
       {
         rips::MutexLock lock(&mu_);
-        agent_.reset();
+        old = std::move(agent_);
       }
+      old.reset();
       if (absl::Status again = Start(); !again.ok()) return again;
     }
     return absl::OkStatus();
@@ -131,7 +134,6 @@ class Running {
     } else {
       addresses_.SeenAgain();
     }
-    agent_->SayDdsProblem(addresses_.problem());
     return again;
   }
 

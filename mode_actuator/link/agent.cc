@@ -191,9 +191,6 @@ class Agent::Impl {
   dds::InterfacesInUse interfaces() const {
     return participant_ != nullptr ? participant_->interfaces() : dds::InterfacesInUse();
   }
-  void SayDdsProblem(const std::string& why) {
-    degraded_.Set("dds", why.empty() ? std::vector<std::string>() : std::vector{why});
-  }
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
   std::string Describe() const ABSL_LOCKS_EXCLUDED(report_mu_);
 
@@ -764,7 +761,6 @@ absl::Status Agent::Ready() const { return impl_->Ready(); }
 std::string Agent::Describe() const { return impl_->Describe(); }
 absl::Status Agent::modes_problem() const { return impl_->modes_problem(); }
 dds::InterfacesInUse Agent::interfaces() const { return impl_->interfaces(); }
-void Agent::SayDdsProblem(const std::string& why) { impl_->SayDdsProblem(why); }
 
 absl::Status Agent::TryModes(const LoadedConfig& loaded, const Clock* clock) {
   return Join(loaded.config, clock).status();

@@ -66,8 +66,6 @@ class Agent {
 
   // What its DDS part sends from; empty without one.
   dds::InterfacesInUse interfaces() const;
-  // What is wrong with these, for the server; empty = nothing. Any thread.
-  void SayDdsProblem(const std::string& why);
 
   // OK if connected, the lease live and the effective level read back. Any thread.
   absl::Status Ready() const;

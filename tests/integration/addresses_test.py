@@ -127,10 +127,10 @@ def interface_goes_and_comes_back(fleet):
     code, _, error = fleet.ripsctl("level", "lower", "r1", "--to", "DEFAULT", "--reason", "try",
                                    check=False)
     check(code == 1 and lost in error, f"a blind lowering was not refused: {code} {error}")
-    ended = f"change=\"eth0 lost {BEFORE} and has no other address\""
-    for agent in (fleet.sensor, fleet.actuator):
-        agent.wait_for(lambda text: ended in text, 10, f"{agent.name} ends its DDS part")
     fleet.raise_to_halt()
+    for agent, waits in ((fleet.sensor, "sees nothing on DDS; waiting for a network interface"),
+                         (fleet.actuator, "System Modes unreachable")):
+        agent.wait_for(lambda text, waits=waits: waits in text, 15, f"{agent.name} ends its DDS part")
     quiet(fleet, 1)
     check(fleet.level()["stage"] != "verified", "verified although the robot cannot be reached")
     fleet.make_interface(BEFORE)
