@@ -4,11 +4,14 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/time/clock.h"
 #include "mode_actuator/link/agent.h"
+#include "services/dds/address_watch.h"
+#include "services/dds/host_addresses.h"
 #include "services/dds/participant.h"
 #include "services/dds/security.h"
 #include "services/rpc/certificate_monitor.h"
@@ -29,8 +32,10 @@ namespace {
 using rips::actuator::Agent;
 using rips::actuator::LoadedConfig;
 
-// Between attempts to find the way to the System Modes.
-constexpr absl::Duration kModesRetry = absl::Seconds(5);
+// How soon other addresses of the host are followed.
+constexpr absl::Duration kLook = absl::Seconds(1);
+// Looks between attempts to find the way to the System Modes where no address changes.
+constexpr int kModesRetryLooks = 5;
 
 int Fail(int code, const absl::Status& status) {
   std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
@@ -63,12 +68,16 @@ int CheckConfig(const std::string& file, const LoadedConfig& loaded) {
   return 0;
 }
 
-// The agent, started again when it can do what it could not at its start. The robot stays at its
-// level meanwhile.
+// The agent, started again when it can do what it could not at its start, or when DDS must begin
+// again on other addresses. The robot stays at its level meanwhile.
 class Running {
  public:
   Running(const LoadedConfig* loaded, rips::Metrics* metrics, rips::ServiceManager* manager)
-      : loaded_(loaded), metrics_(metrics), manager_(manager), credentials_(loaded->config.tls) {
+      : loaded_(loaded),
+        metrics_(metrics),
+        manager_(manager),
+        credentials_(loaded->config.tls),
+        addresses_(rips::dds::OperatorsOwnConfiguration() ? "" : loaded->config.dds.interface) {
     monitor_.emplace(rips::rpc::CertificateMonitor::Options{.own = loaded->config.tls}, &clock_,
                      metrics);
   }
@@ -91,27 +100,51 @@ class Running {
   }
   // Until SIGTERM. Not OK: it cannot be started again.
   absl::Status Wait(rips::SignalWaiter& signals) {
-    while (!agent_->modes_problem().ok()) {
-      if (signals.WaitForShutdown(kModesRetry)) return absl::OkStatus();
-      if (!Agent::TryModes(*loaded_, &clock_).ok()) continue;
-      rips::LogInfo("System Modes reachable; restarting");
+    while (!signals.WaitForShutdown(kLook)) {
+      if (!Look()) continue;
+      std::unique_ptr<Agent> old;
       {
         rips::MutexLock lock(&mu_);
-        agent_.reset();
+        old = std::move(agent_);
       }
+      old.reset();
       if (absl::Status again = Start(); !again.ok()) return again;
     }
-    signals.WaitForShutdown();
     return absl::OkStatus();
   }
 
  private:
+  // True if the agent is to start again.
+  bool Look() {
+    const auto host = rips::dds::HostAddresses();
+    const int64_t now_ns = clock_.Now().boottime_ns;
+    if (!agent_->modes_problem().ok()) {
+      const bool moved = host.ok() && addresses_.MayBegin(*host, now_ns);
+      if (!moved && ++looks_ < kModesRetryLooks) return false;
+      looks_ = 0;
+      if (!Agent::TryModes(*loaded_, &clock_).ok()) return false;
+      rips::LogInfo("System Modes reachable; restarting");
+      return true;
+    }
+    if (!host.ok()) return false;
+    const bool again = addresses_.Look(agent_->interfaces(), *host, now_ns);
+    if (again) {
+      rips::LogWarning("DDS begins again on other addresses; restarting",
+                       {{"change", addresses_.change()}});
+    } else {
+      addresses_.SeenAgain();
+    }
+    return again;
+  }
+
   const LoadedConfig* loaded_;
   rips::Metrics* metrics_;
   rips::ServiceManager* manager_;
   const rips::RealClock clock_;
   rips::rpc::CredentialsSource credentials_;
   std::optional<rips::rpc::CertificateMonitor> monitor_;
+  rips::dds::AddressWatch addresses_;
+  int looks_ = 0;
   rips::Mutex mu_;  // agent_ is changed by the main thread alone
   std::unique_ptr<Agent> agent_;
 };

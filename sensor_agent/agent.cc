@@ -49,6 +49,18 @@ Loss LimitLoss(uint64_t count, int64_t now_ns) {
           .last_boottime_ns = now_ns};
 }
 
+dds::DomainOptions DomainOptionsOf(const SensorConfig& config) {
+  return {.id = config.dds.domain, .interface = config.dds.interface, .unicast_data = true};
+}
+
+// A step adds a node that is not RIPS's.
+bool ShowsRobot(const std::vector<GraphChange>& steps) {
+  return std::any_of(steps.begin(), steps.end(), [](const GraphChange& step) {
+    return std::any_of(step.delta.upsert_nodes.begin(), step.delta.upsert_nodes.end(),
+                       [](const ros2::Node& node) { return node.full_name != kOwnNode; });
+  });
+}
+
 // What was in use when the last process ended. Null, for metadata of everything, if there is none.
 std::shared_ptr<const Interest> KeptInterest(const std::string& state_dir) {
   auto interest = LoadInterest(InterestFile(state_dir));
@@ -186,18 +198,23 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
         "governance admits unauthenticated participants; not reporting any participant as "
         "unauthenticated");
   }
-  RIPS_ASSIGN_OR_RETURN(
-      agent->domain_,
-      DomainWatch::Create(
-          {.domain = {.id = config.dds.domain,
-                      .interface = config.dds.interface,
-                      .unicast_data = true},
-           .participant = {.security = std::move(enclave)},
-           .topics = {.payload_bytes = static_cast<size_t>(config.watch.outbox_memory.bytes) +
-                                       kPayloadsUnderwayBytes,
-                      .secured = secured}},
-          [raw] { raw->Wake(); }));
-  if (config.wire) {
+  auto domain = DomainWatch::Create(
+      {.domain = DomainOptionsOf(config),
+       .participant = {.security = std::move(enclave)},
+       .topics = {.payload_bytes = static_cast<size_t>(config.watch.outbox_memory.bytes) +
+                                   kPayloadsUnderwayBytes,
+                  .secured = secured}},
+      [raw] { raw->Wake(); });
+  if (domain.ok()) {
+    agent->domain_ = *std::move(domain);
+  } else if (dds::MayComeWithAnInterface(domain.status())) {
+    agent->no_domain_ = domain.status();
+  } else {
+    return domain.status();
+  }
+  const bool joined = agent->domain_ != nullptr;
+  const ros2::Guid own = joined ? agent->domain_->own() : ros2::Guid();
+  if (config.wire && joined) {
     RIPS_ASSIGN_OR_RETURN(agent->wire_,
                           wire::WireInput::Create(
                               {.socket = config.wire_socket, .domain = config.dds.domain},
@@ -205,7 +222,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
   }
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.watch.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.watch.settle);
-  GraphOptions options{.own = agent->domain_->own(),
+  GraphOptions options{.own = own,
                        .secured = secured && !admits_strangers,
                        .observer_hidden = config.watch.observer_hidden,
                        .unwatched = config.watch.unwatched,
@@ -215,7 +232,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
   agent->started_ns_ = clock->Now().boottime_ns;
   agent->graph_.emplace(std::move(options), agent->started_ns_);
   agent->flow_.emplace(FlowOptions{.attribution_grace_ns = grace_ns}, &*agent->graph_);
-  agent->findings_.emplace(FindingsOptions{.own = agent->domain_->own(),
+  agent->findings_.emplace(FindingsOptions{.own = own,
                                            .secured = secured && !admits_strangers,
                                            .raw_readers = config.watch.raw_readers});
   agent->watch_.unwatched = config.watch.unwatched;
@@ -224,8 +241,10 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
     agent->uplink_->InterestInUse(agent->watch_.interest->id());
   }
   agent->FollowPlan(clock->Now().boottime_ns);
-  agent->uplink_->SetParticipant(agent->domain_->own());
-  if (config.dds.announce) agent->StartAnnouncing();
+  if (joined) {
+    agent->uplink_->SetParticipant(own);
+    if (config.dds.announce) agent->StartAnnouncing();
+  }
   if (!config.ids.empty()) {
     agent->ids_ = std::make_unique<IdsFeed>(IdsOptions(config), SinkInto(agent->uplink_.get()),
                                             clock, metrics);
@@ -321,6 +340,11 @@ void Agent::Poll(int64_t now_ns) {
   woken_ = false;
   Observations seen;
   ApplyInbox(now_ns, seen);
+  if (domain_ != nullptr) PollDomain(now_ns, seen);
+  uplink_->Append(std::move(seen));
+}
+
+void Agent::PollDomain(int64_t now_ns, Observations& seen) {
   PollDiscovery(now_ns, seen);
   PollCoverage(now_ns);
   // Now that readers have been opened and closed.
@@ -333,10 +357,15 @@ void Agent::Poll(int64_t now_ns) {
   PollWire(now_ns, seen);
   SumFindings(now_ns, seen);
   CountLimits(now_ns, seen);
-  uplink_->Append(std::move(seen));
+  if (!sees_robot_) sees_robot_ = seen.settled && ShowsRobot(seen.graph);
+}
+
+void Agent::SayDdsProblem(const std::string& why) {
+  uplink_->SetBlind("dds", why.empty() ? std::vector<std::string>() : std::vector{why});
 }
 
 int64_t Agent::NextWork() const {
+  if (domain_ == nullptr) return kNever;
   const int64_t work_ns =
       std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue(),
                 domain_->topics().NextDue(), announcer_ ? announcer_->NextDue() : kNever});
@@ -383,7 +412,7 @@ void Agent::FollowPlan(int64_t now_ns) {
   const auto plan = std::make_shared<const WatchPlan>(watch_);
   graph_->SetPlan(plan, now_ns);
   if (watch_.interest != nullptr) graph_->SetKeptTopics(watch_.interest->kept_topics());
-  domain_->topics().SetPlan(plan, now_ns);
+  if (domain_ != nullptr) domain_->topics().SetPlan(plan, now_ns);
   ReportReaders(now_ns);
 }
 
@@ -434,6 +463,7 @@ void Agent::PollDiscovery(int64_t now_ns, Observations& seen) {
 }
 
 void Agent::Rediscover(int64_t now_ns) {
+  if (domain_ == nullptr) return;
   graph_->BeginResync();
   if (wire_ != nullptr) wire_->OnRediscovery(now_ns);
   resync_until_ns_ = now_ns + kResyncNs;

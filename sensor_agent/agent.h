@@ -43,7 +43,8 @@ class Agent {
 
   // Joins the domain; nothing runs yet. `clock`, `metrics` and `monitor` (may be null) are not
   // owned and outlive this. While `credentials` cannot be used, what is seen is kept as if the
-  // server were away. The middleware's errors.
+  // server were away. The middleware's errors, except for want of a network interface: then
+  // no_domain() says so, and it reports all but DDS.
   static absl::StatusOr<std::unique_ptr<Agent>> Create(const SensorConfig& config,
                                                        rpc::CredentialsSource credentials,
                                                        const Clock* clock, Metrics* metrics,
@@ -61,7 +62,19 @@ class Agent {
   void OnSignal(const std::string& name) ABSL_LOCKS_EXCLUDED(inbox_mu_);
   // OK while the policy server takes what is seen. Any thread.
   absl::Status Ready() const { return uplink_->Ready(); }
-  const ros2::Guid& participant() const { return domain_->own(); }
+  // Why there is no DDS here; OK if there is. Any thread.
+  const absl::Status& no_domain() const { return no_domain_; }
+  // none() without a domain. Any thread.
+  ros2::Guid participant() const { return domain_ != nullptr ? domain_->own() : ros2::Guid(); }
+  // Of the domain, if there is one. Any thread.
+  dds::InterfacesInUse interfaces() const {
+    return domain_ != nullptr ? domain_->participant().interfaces() : dds::InterfacesInUse();
+  }
+  // The graph has settled, and there was a node of the robot. Any thread.
+  bool sees_robot() const { return sees_robot_; }
+  // What is wrong with DDS here, for the server: evidence is incomplete meanwhile; empty = nothing.
+  // Any thread.
+  void SayDdsProblem(const std::string& why);
   // See Uplink. Any thread.
   void SayConfiguration(const std::vector<ConfigSetting>& settings,
                         const std::vector<std::string>& refused) {
@@ -81,6 +94,7 @@ class Agent {
   // Hands to the uplink what has come.
   void Poll(int64_t now_ns);
   void ApplyInbox(int64_t now_ns, Observations& seen) ABSL_LOCKS_EXCLUDED(inbox_mu_);
+  void PollDomain(int64_t now_ns, Observations& seen);
   void PollDiscovery(int64_t now_ns, Observations& seen);
   void PollCoverage(int64_t now_ns);
   void OnParticipant(const ros2::Participant& participant, bool alive, int64_t now_ns);
@@ -123,6 +137,8 @@ class Agent {
   Gauge graph_left_out_;
   Gauge announced_;
 
+  absl::Status no_domain_;
+  std::atomic<bool> sees_robot_ = false;
   std::atomic<bool> woken_ = false;
   Mutex inbox_mu_;
   CondVar inbox_cond_;
@@ -161,7 +177,7 @@ class Agent {
 
   // In this order: what calls back goes before what it uses.
   std::unique_ptr<Uplink> uplink_;
-  std::unique_ptr<DomainWatch> domain_;
+  std::unique_ptr<DomainWatch> domain_;  // null = see no_domain_
   // Null if it is not to announce, or may not.
   std::unique_ptr<dds::NodeAnnouncer> announcer_;
   bool announcing_ = true;  // the last claim was published

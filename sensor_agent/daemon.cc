@@ -1,6 +1,5 @@
 #include "sensor_agent/daemon.h"
 
-#include <atomic>
 #include <csignal>
 #include <cstdio>
 #include <memory>
@@ -9,6 +8,9 @@
 #include <utility>
 #include <vector>
 
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "absl/time/clock.h"
 #include "sensor_agent/agent.h"
@@ -16,14 +18,18 @@
 #include "sensor_agent/host_metrics.h"
 #include "sensor_agent/server_settings.h"
 #include "services/base/status_macros.h"
+#include "services/dds/address_watch.h"
+#include "services/dds/host_addresses.h"
 #include "services/dds/participant.h"
 #include "services/dds/security.h"
+#include "services/model/dds_problem.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/await.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
+#include "services/runtime/mutex.h"
 #include "services/runtime/needed_directories.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
@@ -34,8 +40,9 @@ namespace rips::sensor {
 
 namespace {
 
-// How soon the policy server's settings are followed, and how often at most.
-constexpr absl::Duration kSettingsLook = absl::Seconds(1);
+// How soon the policy server's settings, and other addresses of the host, are followed.
+constexpr absl::Duration kLook = absl::Seconds(1);
+// How often the settings are, at most.
 constexpr int64_t kSettingsPauseNs = 60 * kNanosPerSecond;
 
 int64_t BoottimeNs() { return RealClock().Now().boottime_ns; }
@@ -128,70 +135,134 @@ class Following {
   bool waiting_ = false;
 };
 
-// Nullopt: the policy server's settings have changed.
-std::optional<int> WaitForEnd(SignalWaiter& signals, Following& following, Agent& sensor) {
-  while (!signals.WaitForShutdown(kSettingsLook)) {
-    if (following.Poll(sensor)) return std::nullopt;
+// Keeps DDS on the addresses that the host has. Outlives the agents of one run.
+class DdsAddresses {
+ public:
+  explicit DdsAddresses(const DdsSettings& dds)
+      : domain_({.id = dds.domain, .interface = dds.interface}),
+        watch_(dds::OperatorsOwnConfiguration() ? "" : dds.interface) {}
+
+  // Before `sensor` is started.
+  void Begun(Agent& sensor) {
+    said_.clear();
+    Say(sensor);
+    if (sensor.no_domain().ok()) return;
+    LogError("sees nothing on DDS; waiting for a network interface",
+             {{"error", sensor.no_domain().message()}});
   }
-  return signals.WaitForShutdown();
+  // About once a second. True if the sensor is to begin again.
+  bool Poll(Agent& sensor) {
+    const auto host = dds::HostAddresses();
+    if (!host.ok()) return false;
+    const int64_t now_ns = BoottimeNs();
+    if (!sensor.no_domain().ok()) {
+      if (!watch_.MayBegin(*host, now_ns) || !dds::TryDomain(domain_).ok()) return false;
+      LogInfo("there is a network interface for DDS; beginning to watch");
+      return true;
+    }
+    const bool again = watch_.Look(sensor.interfaces(), *host, now_ns);
+    if (again) LogWarning("DDS begins again on other addresses", {{"change", watch_.change()}});
+    if (!again && sensor.sees_robot()) watch_.SeenAgain();
+    Say(sensor);
+    return again;
+  }
+
+ private:
+  void Say(Agent& sensor) {
+    std::string why(sensor.no_domain().message());
+    if (!watch_.problem().empty()) why = absl::StrCat(model::kDdsBeginsAgain, watch_.problem());
+    if (why == said_) return;
+    said_ = why;
+    sensor.SayDdsProblem(said_);
+  }
+
+  const dds::DomainOptions domain_;
+  dds::AddressWatch watch_;
+  std::string said_;
+};
+
+// Why a watch ended.
+enum class End { kSignal, kSettings, kAddresses };
+
+End WaitForEnd(SignalWaiter& signals, Following& following, DdsAddresses& addresses,
+               Agent& sensor) {
+  while (!signals.WaitForShutdown(kLook)) {
+    if (following.Poll(sensor)) return End::kSettings;
+    if (addresses.Poll(sensor)) return End::kAddresses;
+  }
+  return End::kSignal;
 }
 
-// As WaitForEnd, with the exit code.
-std::optional<int> Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
-                         SignalWaiter& signals, Metrics& metrics, ServiceManager& manager,
-                         Following& following) {
+// Of one agent, until it has stopped. An exit code if the ready file cannot be written.
+absl::StatusOr<End> Watch(const DaemonFlags& flags, const SensorConfig& config, Agent& sensor,
+                          SignalWaiter& signals, Metrics& metrics, ServiceManager& manager,
+                          Following& following, DdsAddresses& addresses) {
   HostMetrics host({.disk = config.state_dir}, &metrics);
   host.Start();
+  addresses.Begun(sensor);
   sensor.Start([&manager] { manager.Ping(); });
   LogInfo("watching", {{"robot", config.robot},
                        {"host", config.host},
                        {"domain", config.dds.domain},
                        {"participant", ToString(sensor.participant())}});
-  if (absl::Status written = WriteReadyFile(flags, "ready"); !written.ok()) {
-    return Fail(kExitFailed, "cannot write the ready file", written);
-  }
+  RIPS_RETURN_IF_ERROR(WriteReadyFile(flags, "ready"));
   manager.Ready();
-  std::optional<int> signal;
+  End end = End::kSignal;
   {
     const Ticker status(absl::ZeroDuration(), [&] {
       manager.SetStatus(Describe(config, sensor));
       return ServiceManager::kStatusEvery;
     });
-    signal = WaitForEnd(signals, following, sensor);
+    end = WaitForEnd(signals, following, addresses, sensor);
   }
-  if (!signal.has_value()) {
+  if (end == End::kSettings) {
     LogInfo("the policy server has changed this sensor's settings; beginning to watch anew");
-    sensor.Stop();
-    return std::nullopt;
+  } else if (end == End::kSignal) {
+    manager.Stopping();
+    LogInfo("stopping", {{"signal", signals.WaitForShutdown()}});
   }
-  manager.Stopping();
-  LogInfo("stopping", {{"signal", *signal}});
   sensor.Stop();
-  return 0;
+  return end;
 }
 
-// As Watch.
+// The agent that runs, for threads that do not know when it goes.
+class Running {
+ public:
+  void Set(Agent* sensor) {
+    MutexLock lock(&mu_);
+    sensor_ = sensor;
+  }
+  absl::Status Ready() const {
+    MutexLock lock(&mu_);
+    if (sensor_ == nullptr)
+      return absl::UnavailableError("beginning, or waiting for the DDS keystore");
+    RIPS_RETURN_IF_ERROR(sensor_->no_domain());
+    return sensor_->Ready();
+  }
+  void OnSignal(const char* name) {
+    MutexLock lock(&mu_);
+    if (sensor_ != nullptr) sensor_->OnSignal(name);
+  }
+
+ private:
+  mutable Mutex mu_;
+  Agent* sensor_ ABSL_GUARDED_BY(mu_) = nullptr;
+};
+
+// Nullopt: the policy server's settings have changed; else the exit code.
 std::optional<int> Serve(const DaemonFlags& flags, const SensorConfig& config,
-                         rpc::CredentialsSource credentials, ServiceManager& manager,
+                         const rpc::CredentialsSource& credentials, ServiceManager& manager,
                          Following& following) {
   const RealClock clock;
   Metrics metrics;
   rpc::CertificateMonitor monitor({.own = config.tls}, &clock, &metrics);
-  std::atomic<Agent*> running = nullptr;
+  Running running;  // before what calls it
   SignalWaiter::Callbacks callbacks;
   if (config.watch.signals) {
-    const auto tell = [&running](const char* name) {
-      if (Agent* sensor = running) sensor->OnSignal(name);
-    };
-    callbacks[SIGUSR1] = [tell] { tell("SIGUSR1"); };
-    callbacks[SIGUSR2] = [tell] { tell("SIGUSR2"); };
+    callbacks[SIGUSR1] = [&running] { running.OnSignal("SIGUSR1"); };
+    callbacks[SIGUSR2] = [&running] { running.OnSignal("SIGUSR2"); };
   }
-  std::unique_ptr<Agent> agent;  // before what calls it
-  auto pages = MetricsPage::Start(config.metrics, &metrics, [&running] {
-    const Agent* sensor = running;
-    return sensor == nullptr ? absl::UnavailableError("waiting for the DDS keystore")
-                             : sensor->Ready();
-  });
+  auto pages = MetricsPage::Start(config.metrics, &metrics, [&running] { return running.Ready(); });
   if (!pages.ok()) return Fail(kExitConfig, "cannot serve metrics", pages.status());
   SignalWaiter signals(std::move(callbacks));
   const absl::Status awaited = Await(
@@ -211,17 +282,22 @@ std::optional<int> Serve(const DaemonFlags& flags, const SensorConfig& config,
         return signals.WaitForShutdown(pause);
       });
   if (!awaited.ok()) return 0;  // told to end
-  auto created = Agent::Create(
-      config, std::move(credentials), &clock, &metrics, &monitor,
-      [&following](std::vector<ConfigSetting> settings) { following.Offer(std::move(settings)); });
-  if (!created.ok()) return Fail(kExitFailed, "cannot begin to watch", created.status());
-  agent = *std::move(created);
-  running = agent.get();
   LogInfo("listening", {{"address", (*pages)->address()}});
-  const std::optional<int> code =
-      Watch(flags, config, *agent, signals, metrics, manager, following);
-  running = nullptr;
-  return code;
+  DdsAddresses addresses(config.dds);
+  while (true) {
+    auto agent = Agent::Create(config, credentials, &clock, &metrics, &monitor,
+                               [&following](std::vector<ConfigSetting> settings) {
+                                 following.Offer(std::move(settings));
+                               });
+    if (!agent.ok()) return Fail(kExitFailed, "cannot begin to watch", agent.status());
+    running.Set(agent->get());
+    const absl::StatusOr<End> end =
+        Watch(flags, config, **agent, signals, metrics, manager, following, addresses);
+    running.Set(nullptr);
+    if (!end.ok()) return Fail(kExitFailed, "cannot write the ready file", end.status());
+    if (*end == End::kSignal) return 0;
+    if (*end == End::kSettings) return std::nullopt;
+  }
 }
 
 // --check-config: of the files that the configuration names, too.
@@ -279,8 +355,7 @@ int RunDaemon(const DaemonFlags& flags) {
     if (const absl::Status mine = credentials.Get().status(); absl::IsPermissionDenied(mine)) {
       return Fail(kExitConfig, "wrong certificate", mine);
     }
-    const std::optional<int> code =
-        Serve(flags, config, std::move(credentials), manager, following);
+    const std::optional<int> code = Serve(flags, config, credentials, manager, following);
     if (code.has_value()) return *code;
   }
 }

@@ -174,41 +174,6 @@ absl::StatusOr<std::unique_ptr<dds::Participant>> Join(const Config& config, con
 
 }  // namespace
 
-absl::StatusOr<LoadedConfig> LoadConfig(const std::string& path) {
-  LoadedConfig loaded;
-  RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(path));
-  RIPS_ASSIGN_OR_RETURN(ParsedConfig parsed, ParseConfig(path, text));
-  RIPS_RETURN_IF_ERROR(AddScripts(&parsed));
-  loaded.config = std::move(parsed.config);
-  loaded.settings = std::move(parsed.settings);
-  RIPS_RETURN_IF_ERROR(CheckFirewallFiles(loaded.config.levels, loaded.settings));
-  if (loaded.config.smh_file.empty()) return loaded;
-  RIPS_ASSIGN_OR_RETURN(const std::string smh_text, ReadFile(loaded.config.smh_file, kSmhBytesMax));
-  RIPS_ASSIGN_OR_RETURN(loaded.smh, ParseSmh(smh_text, loaded.config.smh_file));
-  RIPS_RETURN_IF_ERROR(CheckLevelsAgainstSmh(loaded.config, loaded.smh));
-  return loaded;
-}
-
-absl::Status CheckIdentity(const Config& config, const rpc::PeerIdentity& self) {
-  if (self.role == rpc::Role::kActuator && self.robot == config.robot && self.host == config.host) {
-    return absl::OkStatus();
-  }
-  return absl::PermissionDeniedError(absl::StrCat(
-      "the certificate is of `", ToString(self), "`, but the configuration says robot `",
-      config.robot, "`, host `", config.host, "` of an actuator; correct the one that is wrong"));
-}
-
-std::vector<std::string> Warnings(const LoadedConfig& loaded) {
-  std::vector<std::string> warnings = loaded.smh.warnings;
-  for (std::string& warning : MonotonyWarnings(loaded.config, loaded.smh)) {
-    warnings.push_back(std::move(warning));
-  }
-  for (std::string& warning : FirewallWarnings(loaded.config.levels)) {
-    warnings.push_back(std::move(warning));
-  }
-  return warnings;
-}
-
 class Agent::Impl {
  public:
   Impl(Config config, const Clock* clock, Metrics* metrics)
@@ -223,6 +188,9 @@ class Agent::Impl {
   absl::Status Start(const LoadedConfig& loaded, rpc::CredentialsSource credentials,
                      rpc::CertificateMonitor* monitor, std::function<void()> on_turn);
   const absl::Status& modes_problem() const { return modes_problem_; }
+  dds::InterfacesInUse interfaces() const {
+    return participant_ != nullptr ? participant_->interfaces() : dds::InterfacesInUse();
+  }
   absl::Status Ready() const ABSL_LOCKS_EXCLUDED(report_mu_);
   std::string Describe() const ABSL_LOCKS_EXCLUDED(report_mu_);
 
@@ -792,6 +760,7 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Start(const LoadedConfig& loaded,
 absl::Status Agent::Ready() const { return impl_->Ready(); }
 std::string Agent::Describe() const { return impl_->Describe(); }
 absl::Status Agent::modes_problem() const { return impl_->modes_problem(); }
+dds::InterfacesInUse Agent::interfaces() const { return impl_->interfaces(); }
 
 absl::Status Agent::TryModes(const LoadedConfig& loaded, const Clock* clock) {
   return Join(loaded.config, clock).status();

@@ -12,6 +12,7 @@
 #include "mode_actuator/config/config.h"
 #include "mode_actuator/steps/system_mode/smh.h"
 #include "services/base/clock.h"
+#include "services/dds/host_addresses.h"
 #include "services/rpc/certificate_monitor.h"
 #include "services/rpc/credentials.h"
 #include "services/runtime/metrics.h"
@@ -62,6 +63,9 @@ class Agent {
   absl::Status modes_problem() const;
   // OK if there would be a way now.
   static absl::Status TryModes(const LoadedConfig& loaded, const Clock* clock);
+
+  // What its DDS part sends from; empty without one.
+  dds::InterfacesInUse interfaces() const;
 
   // OK if connected, the lease live and the effective level read back. Any thread.
   absl::Status Ready() const;

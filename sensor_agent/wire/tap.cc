@@ -19,8 +19,10 @@ namespace {
 // On a busy bus datagrams are taken this often instead of one by one. What comes in between waits
 // in the receive buffer.
 constexpr absl::Duration kBusyInterval = absl::Milliseconds(2);
-// This often the addresses of the host are read, and drops are logged.
+// This often drops are logged.
 constexpr int64_t kLookIntervalNs = 5 * kNanosPerSecond;
+// This often the addresses of the host are read: the sensor looks as often.
+constexpr int64_t kAddressesIntervalNs = kNanosPerSecond;
 constexpr uint32_t kDomainMax = 232;
 
 }  // namespace
@@ -94,9 +96,12 @@ absl::Status Tap::Drain() {
 
 void Tap::Report(int64_t now_ns) {
   for (const auto& socket : sockets_) table_.AddKernelDrops(socket->TakeDrops());
+  if (now_ns >= next_addresses_ns_) {
+    next_addresses_ns_ = now_ns + kAddressesIntervalNs;
+    local_addresses_ = LocalAddresses();
+  }
   if (now_ns >= next_look_ns_) {
     next_look_ns_ = now_ns + kLookIntervalNs;
-    local_addresses_ = LocalAddresses();
     const uint64_t drops = table_.counters().kernel_drops + table_.counters().table_drops;
     if (drops > drops_logged_) {
       LogWarning("datagrams not inspected", {{"kernel_drops", table_.counters().kernel_drops},

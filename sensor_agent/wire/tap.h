@@ -53,6 +53,7 @@ class Tap {
   ReportSender sender_;
   std::vector<Address> local_addresses_;
   int64_t next_look_ns_ = 0;
+  int64_t next_addresses_ns_ = 0;
   bool was_connected_ = false;
   uint64_t drops_logged_ = 0;
 };

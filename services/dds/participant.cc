@@ -81,12 +81,33 @@ std::string InterfaceNames() {
 
 }  // namespace
 
+bool OperatorsOwnConfiguration() {
+  const char* own = std::getenv("CYCLONEDDS_URI");
+  return own != nullptr && *own != '\0';
+}
+
 absl::Status FindInterface(const std::string& name) {
-  const char* operators_own = std::getenv("CYCLONEDDS_URI");
-  if (operators_own != nullptr && *operators_own != '\0') return absl::OkStatus();
-  if (name.empty() || if_nametoindex(name.c_str()) != 0) return absl::OkStatus();
-  return absl::NotFoundError(absl::StrCat("there is no network interface `", name, "` here, only ",
-                                          InterfaceNames(), "; see `dds.interface`"));
+  if (OperatorsOwnConfiguration() || name.empty()) return absl::OkStatus();
+  if (if_nametoindex(name.c_str()) == 0) {
+    return absl::NotFoundError(absl::StrCat("there is no network interface `", name,
+                                            "` here, only ", InterfaceNames(),
+                                            "; see `dds.interface`"));
+  }
+  const absl::StatusOr<std::vector<InterfaceAddress>> host = HostAddresses();
+  if (!host.ok()) return absl::OkStatus();  // Cyclone finds out
+  const bool usable = std::any_of(host->begin(), host->end(), [&](const InterfaceAddress& each) {
+    return each.interface == name && !each.ipv6;
+  });
+  if (usable) return absl::OkStatus();
+  return absl::UnavailableError(absl::StrCat("network interface `", name,
+                                             "` is down or has no IPv4 address; see "
+                                             "`dds.interface`"));
+}
+
+absl::Status TryDomain(const DomainOptions& options) { return Domain::Create(options).status(); }
+
+bool MayComeWithAnInterface(const absl::Status& status) {
+  return absl::IsNotFound(status) || absl::IsUnavailable(status);
 }
 
 absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rmem_max) {
@@ -118,8 +139,7 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
         absl::StrCat("domain ", options.id, " exceeds limit ", kDomainIdMax));
   }
   RIPS_ASSIGN_OR_RETURN(std::string xml, DomainXml(options, ReadRmemMax()));
-  const char* operators_own = std::getenv("CYCLONEDDS_URI");
-  if (operators_own != nullptr && *operators_own != '\0') xml = operators_own;
+  if (OperatorsOwnConfiguration()) xml = std::getenv("CYCLONEDDS_URI");
   RIPS_RETURN_IF_ERROR(FindInterface(options.interface));
   DdsEntity entity(dds_create_domain(options.id, xml.c_str()));
   if (entity.get() == DDS_RETCODE_PRECONDITION_NOT_MET) {
@@ -127,9 +147,12 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
         absl::StrCat("domain ", options.id, " exists in this process already"));
   }
   if (entity.get() < 0) {
-    return DdsError(
-        absl::StrCat("creating domain ", options.id, " on interface `", options.interface, "`"),
-        entity.get());
+    const absl::Status error = DdsError(absl::StrCat("creating domain ", options.id), entity.get());
+    return absl::UnavailableError(absl::StrCat(
+        error.message(),
+        OperatorsOwnConfiguration() ? "; is there a network interface such as CYCLONEDDS_URI names?"
+        : options.interface.empty() ? "; is there a network interface with an address?"
+                                    : absl::StrCat(" on interface `", options.interface, "`")));
   }
   return std::shared_ptr<const Domain>(new Domain(options.id, std::move(entity)));
 }
@@ -151,11 +174,12 @@ absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(
                                  secured ? absl::StrCat(" as enclave `", enclave, "`") : ""),
                     entity.get());
   }
-  RIPS_RETURN_IF_ERROR(RequireNoSharedMemory(
-      entity.get(), secured ? options.security->permitted_topic : "rips_probe"));
+  RIPS_ASSIGN_OR_RETURN(
+      InterfacesInUse in_use,
+      ExamineDomain(entity.get(), secured ? options.security->permitted_topic : "rips_probe"));
   RIPS_ASSIGN_OR_RETURN(const ros2::Guid guid, GuidOf(entity.get()));
   return std::unique_ptr<Participant>(
-      new Participant(std::move(domain), std::move(entity), guid, secured));
+      new Participant(std::move(domain), std::move(entity), guid, secured, std::move(in_use)));
 }
 
 absl::StatusOr<std::unique_ptr<Participant>> Participant::Create(

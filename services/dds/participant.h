@@ -10,6 +10,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "services/dds/dds_entity.h"
+#include "services/dds/host_addresses.h"
 #include "services/dds/own_endpoints.h"
 #include "services/dds/security.h"
 #include "services/ros2/guid.h"
@@ -27,7 +28,11 @@ struct DomainOptions {
   bool unicast_data = false;
 };
 
-// NotFound, with those that there are; OK of an empty name, and where CYCLONEDDS_URI decides.
+// The environment has CYCLONEDDS_URI.
+bool OperatorsOwnConfiguration();
+
+// NotFound, with those that there are; Unavailable of one that is down or has no IPv4 address. OK
+// of an empty name, and where CYCLONEDDS_URI decides.
 absl::Status FindInterface(const std::string& name);
 
 // The XML with which a domain starts when CYCLONEDDS_URI is unset. `rmem_max` is the largest
@@ -39,7 +44,8 @@ absl::StatusOr<std::string> DomainXml(const DomainOptions& options, uint64_t rme
 // ensures by sharing it.
 class Domain {
  public:
-  // AlreadyExists if this process has that domain already; NotFound if there is no such interface.
+  // AlreadyExists if this process has that domain already; as FindInterface; Unavailable if Cyclone
+  // cannot begin one, as it cannot without an interface that it may use.
   static absl::StatusOr<std::shared_ptr<const Domain>> Create(const DomainOptions& options);
   Domain(const Domain&) = delete;
   Domain& operator=(const Domain&) = delete;
@@ -54,6 +60,11 @@ class Domain {
   uint32_t id_;
   DdsEntity entity_;
 };
+
+// Begins a domain and ends it again; the errors of Domain::Create.
+absl::Status TryDomain(const DomainOptions& options);
+// An error of Domain::Create that may pass when the host's addresses change.
+bool MayComeWithAnInterface(const absl::Status& status);
 
 struct ParticipantOptions {
   // ROS enclave, announced as user data "enclave=/;". Under `security` that one's name.
@@ -82,18 +93,25 @@ class Participant {
   uint32_t domain_id() const { return domain_->id(); }
   // What RawReader and RawWriter have made in it.
   const std::shared_ptr<OwnEndpoints>& own_endpoints() const { return own_endpoints_; }
+  // Also after they have gone from the host.
+  const InterfacesInUse& interfaces() const { return interfaces_; }
   // For a further participant in the same domain.
   const std::shared_ptr<const Domain>& domain() const { return domain_; }
 
  private:
   Participant(std::shared_ptr<const Domain> domain, DdsEntity entity, const ros2::Guid& guid,
-              bool secured)
-      : domain_(std::move(domain)), entity_(std::move(entity)), guid_(guid), secured_(secured) {}
+              bool secured, InterfacesInUse interfaces)
+      : domain_(std::move(domain)),
+        entity_(std::move(entity)),
+        guid_(guid),
+        secured_(secured),
+        interfaces_(std::move(interfaces)) {}
 
   std::shared_ptr<const Domain> domain_;
   DdsEntity entity_;  // after domain_: goes first
   ros2::Guid guid_;
   bool secured_;
+  InterfacesInUse interfaces_;
   std::shared_ptr<OwnEndpoints> own_endpoints_ = std::make_shared<OwnEndpoints>();
 };
 

@@ -50,6 +50,9 @@ TEST(ParticipantTest, OnTheLoopbackInterface) {
   ASSERT_THAT(first, IsOk());
   EXPECT_EQ((*first)->domain_id(), RandomDomain());
   EXPECT_EQ((*first)->guid(), (*first)->guid().Participant());
+  ASSERT_EQ((*first)->interfaces().addresses.size(), 1U);
+  EXPECT_EQ((*first)->interfaces().addresses[0].address, "127.0.0.1");
+  EXPECT_FALSE((*first)->interfaces().automatic);
   EXPECT_THAT(Participant::Create({.id = RandomDomain(), .interface = "lo"}),
               StatusIs(absl::StatusCode::kAlreadyExists));
   const auto second = Participant::Create((*first)->domain());
@@ -77,6 +80,60 @@ TEST(ParticipantTest, EndsAfterTheAddressOfItsInterfaceHasChanged) {
   if (geteuid() != 0) GTEST_SKIP() << "needs root: it makes a network of its own";
   GTEST_FLAG_SET(death_test_style, "threadsafe");
   EXPECT_EXIT(EndsAfterTheAddressHasChanged(), testing::ExitedWithCode(0), "");
+}
+
+// As above; over IPv6 alone.
+[[noreturn]] void EndsAfterTheIPv6AddressHasChanged() {
+  alarm(20);
+  const auto run = [](const char* command) {
+    if (std::system(command) != 0) _exit(2);
+  };
+  if (unshare(CLONE_NEWNET) != 0) _exit(3);
+  run("ip link set lo up && ip link add eth0 type veth peer name eth1 && ip link set eth1 up && "
+      "ip link set eth0 up multicast on && ip addr add 2001:db8::7/64 dev eth0 nodad");
+  const ScopedCycloneUri uri(
+      "<CycloneDDS><Domain><General><Transport>udp6</Transport><Interfaces><NetworkInterface "
+      "address=\"2001:db8::7\"/></Interfaces></General></Domain></CycloneDDS>");
+  auto participant = Participant::Create({.id = RandomDomain()});
+  if (!participant.ok()) _exit(4);
+  const InterfacesInUse& in_use = (*participant)->interfaces();
+  if (in_use.addresses.size() != 1 || in_use.addresses[0].address != "2001:db8::7") _exit(5);
+  run("ip link set eth0 down && ip link set eth0 up && ip addr add 2001:db8::6/64 dev eth0 nodad");
+  participant->reset();
+  _exit(0);
+}
+
+TEST(ParticipantTest, EndsAfterTheIPv6AddressOfItsInterfaceHasChanged) {
+  if (geteuid() != 0) GTEST_SKIP() << "needs root: it makes a network of its own";
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(EndsAfterTheIPv6AddressHasChanged(), testing::ExitedWithCode(0), "");
+}
+
+// An interface without an address, and then with one.
+[[noreturn]] void WaitsForAnAddress() {
+  const auto run = [](const char* command) {
+    if (std::system(command) != 0) _exit(2);
+  };
+  if (unshare(CLONE_NEWNET) != 0) _exit(3);
+  run("ip link set lo up && ip link add eth0 type veth peer name eth1 && ip link set eth1 up");
+  const absl::Status down = FindInterface("eth0");
+  if (!absl::IsUnavailable(down)) _exit(4);
+  const DomainOptions options{.id = RandomDomain(), .interface = "eth0"};
+  if (!MayComeWithAnInterface(TryDomain(options))) _exit(5);
+  run("ip addr add 10.9.8.7/24 dev eth0 && ip link set eth0 up multicast on");
+  if (!TryDomain(options).ok()) _exit(6);
+  const auto participant = Participant::Create(options);
+  if (!participant.ok()) _exit(7);
+  const InterfacesInUse& in_use = (*participant)->interfaces();
+  if (in_use.automatic || in_use.addresses.size() != 1) _exit(8);
+  if (in_use.addresses[0].interface != "eth0" || in_use.addresses[0].index == 0) _exit(9);
+  _exit(in_use.addresses[0].address == "10.9.8.7" ? 0 : 10);
+}
+
+TEST(ParticipantTest, AnInterfaceWithoutAnAddressMayGetOne) {
+  if (geteuid() != 0) GTEST_SKIP() << "needs root: it makes a network of its own";
+  GTEST_FLAG_SET(death_test_style, "threadsafe");
+  EXPECT_EXIT(WaitsForAnAddress(), testing::ExitedWithCode(0), "");
 }
 
 TEST(ParticipantTest, TheDomainEndsWithItsLastParticipant) {

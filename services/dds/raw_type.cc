@@ -1,6 +1,7 @@
 #include "services/dds/raw_type.h"
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cstddef>
 #include <cstring>
@@ -267,7 +268,7 @@ constexpr ddsi_serdata_ops kSerdataOps = {
     .print = Print,
     .get_keyhash = GetKeyhash,
 #ifdef DDS_HAS_SHM
-    // Never called: RequireNoSharedMemory.
+    // Never called: ExamineDomain.
     .get_sample_size = nullptr,
     .from_iox_buffer = nullptr,
 #endif
@@ -350,7 +351,7 @@ absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::str
   return RawTopic{.entity = std::move(entity), .type = registered};
 }
 
-absl::Status RequireNoSharedMemory(EntityHandle participant, const std::string& topic) {
+absl::StatusOr<InterfacesInUse> ExamineDomain(EntityHandle participant, const std::string& topic) {
   // Only a registered type leads to the domain's configuration. No endpoint uses the topic, so
   // no other code learns of it.
   RIPS_ASSIGN_OR_RETURN(const RawTopic probe, CreateRawTopic(participant, topic, "none"));
@@ -359,7 +360,18 @@ absl::Status RequireNoSharedMemory(EntityHandle participant, const std::string& 
         "`SharedMemory/Enable` is on in the Cyclone configuration; samples sent through shared "
         "memory cannot be observed, turn it off");
   }
-  return absl::OkStatus();
+  InterfacesInUse in_use;
+  std::array<rips_dds_interface, kInterfacesMax> found;
+  const size_t count =
+      rips_dds_interfaces(probe.type, found.data(), found.size(), &in_use.automatic);
+  for (size_t i = 0; i < count; ++i) {
+    in_use.addresses.push_back(
+        {.interface = found[i].name,
+         .index = found[i].index,
+         .address = FormatAddress(found[i].address + (found[i].ipv6 ? 0 : 12), found[i].ipv6),
+         .ipv6 = found[i].ipv6});
+  }
+  return in_use;
 }
 
 RawContent ContentOf(const ddsi_serdata* sample) {

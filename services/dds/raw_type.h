@@ -17,6 +17,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "services/dds/dds_entity.h"
+#include "services/dds/host_addresses.h"
 #include "services/ros2/guid.h"
 
 struct ddsi_serdata;
@@ -45,9 +46,9 @@ absl::StatusOr<RawTopic> CreateRawTopic(EntityHandle participant, const std::str
                                         uint32_t payload_bytes_max = kWholePayload,
                                         std::shared_ptr<const PayloadLimit> limit = nullptr);
 
-// FailedPrecondition if the participant's domain has shared memory turned on. `topic` is one that
-// the participant may use; no endpoint of it is made.
-absl::Status RequireNoSharedMemory(EntityHandle participant, const std::string& topic);
+// What the participant's domain sends from. FailedPrecondition if the domain has shared memory
+// turned on. `topic` is one that the participant may use; no endpoint of it is made.
+absl::StatusOr<InterfacesInUse> ExamineDomain(EntityHandle participant, const std::string& topic);
 
 // What a received raw sample holds. Views live as long as the sample.
 struct RawContent {

@@ -4,6 +4,8 @@
 #define RIPS_SERVICES_DDS_SHARED_MEMORY_H_
 
 #include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
 
 #ifdef __cplusplus
 extern "C" {
@@ -13,6 +15,18 @@ struct ddsi_sertype;
 
 // `type` is in use by a topic. True if its domain's configuration has shared memory on.
 bool rips_dds_uses_shared_memory(const struct ddsi_sertype* type);
+
+// An address that a domain took when it began.
+struct rips_dds_interface {
+  const char* name;  // lives as long as the domain
+  uint32_t index;
+  bool ipv6;
+  uint8_t address[16];  // IPv4: the last four bytes
+};
+// `type` is in use by a topic. Fills at most `max` of `into` and returns how many. `automatic` is
+// true if Cyclone chose them itself.
+size_t rips_dds_interfaces(const struct ddsi_sertype* type, struct rips_dds_interface* into,
+                           size_t max, bool* automatic);
 
 #ifdef __cplusplus
 }

@@ -1,8 +1,10 @@
 // A sensor that sees nothing proves nothing.
 #include <optional>
 
+#include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "policy_server/server/robot/robot_fixture.h"
+#include "services/model/dds_problem.h"
 
 namespace rips::pipeline {
 namespace {
@@ -236,6 +238,50 @@ TEST_F(RobotBlindTest, AHelloMaySayItToo) {
   EXPECT_THAT(Degraded(), Contains("sensor base: wire tap: none"));
   Hello();
   EXPECT_THAT(robot_->core().sight().blind(), IsEmpty());
+}
+
+// A sensor follows its host to another address: a process as new as after a restart.
+TEST_F(RobotBlindTest, ASensorOnAnotherAddressIsToldAtOnceAndLowersNothingMeanwhile) {
+  ArmWith(NormalGraph());
+  RaiseAndCalm();
+  const std::string why =
+      absl::StrCat(model::kDdsBeginsAgain, "eth0 had 10.0.0.2 and has 10.0.0.3");
+  Hello({why}, std::string(16, 'm'));
+  EXPECT_THAT(Degraded(), Contains("sensor base: " + why));
+  Snapshot(NormalGraph());
+  Pass(20'000);
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_EQ(audience_.Count("blind: sensor base: " + why), 1);
+  EXPECT_EQ(audience_.Count("r1 is seen again"), 0);
+  SendState({});
+  Pass(10'000);
+  EXPECT_EQ(Level(), "DEFAULT");
+  EXPECT_EQ(audience_.Count("r1 is seen again"), 1);
+}
+
+TEST_F(RobotBlindTest, TheRobotIsNotBlamedOnTheConfigurationWhenTheAddressHasChanged) {
+  ArmWith(NormalGraph());
+  const std::string why = absl::StrCat(model::kDdsBeginsAgain, "eth0 lost 10.0.0.2");
+  Hello({why}, std::string(16, 'm'));
+  Snapshot();
+  EXPECT_THAT(Degraded(), Contains(HasSubstr("sees no ROS node on domain 7 since its host's "
+                                             "addresses changed")));
+  EXPECT_THAT(Degraded(), Not(Contains(kNobody)));
+  SendState({});
+  EXPECT_THAT(Degraded(), Contains(kNobody));
+}
+
+TEST_F(RobotBlindTest, ASensorThatFollowsItsAddressesHasNotRestarted) {
+  ArmWith(NormalGraph());
+  for (char process = 'a'; process < 'i'; ++process) {
+    Hello({absl::StrCat(model::kDdsBeginsAgain, "eth0 had ", std::string(1, process))},
+          std::string(16, process));
+    Pass(1'000);
+  }
+  EXPECT_EQ(audience_.Count("has restarted"), 0);
+  for (char process = 'p'; process < 's'; ++process) Hello({}, std::string(16, process));
+  Pass(1'000);
+  EXPECT_EQ(audience_.Count("has restarted"), 1);
 }
 
 TEST_F(RobotBlindTest, WhatWasSaidBeforeTheHelloDoesNotReplaceIt) {

@@ -6,7 +6,9 @@
 #include <utility>
 
 #include "absl/strings/escaping.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "services/model/dds_problem.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
@@ -103,6 +105,11 @@ bool SensorSide::OnHello(const input::SensorHello& in) {
 
 // What the hello says of the process that sends it.
 void SensorSide::OnRestart(SensorHost& host, const SensorHello& hello) {
+  // It has an alert of its own.
+  const bool moved = std::any_of(hello.blind.begin(), hello.blind.end(), [](const auto& reason) {
+    return absl::StartsWith(reason, model::kDdsBeginsAgain);
+  });
+  if (moved) host.restarts.Expect(context_.now_ns() + 1);
   if (host.restarts.Began(hello.incarnation, context_.now_ns())) {
     alerts_.Raise(engine::Severity::kHigh,
                   absl::StrCat("sensor ", host.name, " has restarted ", RestartCount::kRestartsMax,

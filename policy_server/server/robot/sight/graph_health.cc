@@ -3,10 +3,12 @@
 #include <algorithm>
 
 #include "absl/container/flat_hash_set.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/server/robot/context/own_participants.h"
+#include "services/model/dds_problem.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
@@ -26,6 +28,11 @@ std::string Listed(const std::vector<std::string>& parts) {
   std::string list = absl::StrJoin(parts.begin(), parts.begin() + named, ", ");
   if (named < parts.size()) absl::StrAppend(&list, " and ", parts.size() - named, " more");
   return list;
+}
+
+// It is over before the grace mostly, and must be known all the same.
+bool IsUrgent(absl::string_view reason) {
+  return absl::StrContains(reason, model::kDdsBeginsAgain);
 }
 
 // What is on the bus besides RIPS.
@@ -63,9 +70,10 @@ GraphHealth ExamineGraph(const ros2::RosGraph& graph, const GraphExpectation& ex
   const Seen seen = Others(graph, expected.own_participants);
   if (!seen.anything) {
     health.empty = true;
-    health.problems.push_back(absl::StrCat("sensor ", expected.sensor,
-                                           " sees no ROS node on domain ", expected.domain,
-                                           "; are dds.domain and dds.interface right?"));
+    health.problems.push_back(absl::StrCat(
+        "sensor ", expected.sensor, " sees no ROS node on domain ", expected.domain,
+        expected.moved ? " since its host's addresses changed; start the ROS nodes again"
+                       : "; are dds.domain and dds.interface right?"));
     return health;
   }
   std::vector<std::string> missing;
@@ -145,8 +153,8 @@ void BlindAlarm::Set(const std::vector<std::string>& reasons, int64_t now_ns) {
     } else if (!reason.gone_ns.has_value()) {
       reason.gone_ns = now_ns;
     }
-    const bool forgotten =
-        reason.gone_ns.has_value() && (!reason.told || now_ns - *reason.gone_ns >= kForgetNs);
+    const bool forgotten = reason.gone_ns.has_value() && ((!reason.told && !IsUrgent(it->first)) ||
+                                                          now_ns - *reason.gone_ns >= kForgetNs);
     it = forgotten ? reasons_.erase(it) : std::next(it);
   }
   for (const std::string& text : reasons) {
@@ -158,7 +166,9 @@ void BlindAlarm::Set(const std::vector<std::string>& reasons, int64_t now_ns) {
 std::vector<std::string> BlindAlarm::Due(int64_t now_ns) {
   std::vector<std::string> due;
   for (auto& [text, reason] : reasons_) {
-    if (reason.told || reason.gone_ns.has_value() || now_ns - reason.since_ns < kGraceNs) continue;
+    if (reason.told) continue;
+    const bool waits = reason.gone_ns.has_value() || now_ns - reason.since_ns < kGraceNs;
+    if (waits && !IsUrgent(text)) continue;
     reason.told = told_ = true;
     due.push_back(text);
   }

@@ -3,7 +3,8 @@
 //
 // | the settled graph of the primary sensor                           | problem                  |
 // |-------------------------------------------------------------------|--------------------------|
-// | shows no ROS node and no ROS endpoint but those of RIPS           | sees no ROS node         |
+// | shows no ROS node and no ROS endpoint but those of RIPS           | sees no ROS node; what   |
+// |                                                                   | to do depends on `moved` |
 // | lacks a part whose modes an actuator sets: no node of that name,  | does not see these parts |
 // | and no service below that name (`/safety/change_mode`)            |                          |
 // | hit a limit and leaves something out                              | does not hold all of it  |
@@ -32,6 +33,8 @@ struct GraphExpectation {
   std::vector<ros2::Guid> own_participants;
   // Full names of the parts whose modes the actuators set.
   std::vector<std::string> parts;
+  // The sensor says that the addresses of DDS on its host have changed.
+  bool moved = false;
 };
 
 struct GraphHealth {
@@ -56,7 +59,8 @@ std::string DescribeParticipant(const ros2::RosGraph& graph, const ros2::Guid& p
 // Tells once that something is not seen, and once that everything is seen again.
 //
 // A reason is told when it has stood for kGraceNs: a robot whose ROS stack is starting, or stopped,
-// is no news by the second. One that comes and goes is told again after kForgetNs without it.
+// is no news by the second. That DDS begins again on other addresses (services/model/dds_problem.h)
+// is told at once. One that comes and goes is told again after kForgetNs without it.
 class BlindAlarm {
  public:
   static constexpr int64_t kGraceNs = 60 * kNanosPerSecond;

@@ -3,6 +3,7 @@
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
+#include "services/model/dds_problem.h"
 
 namespace rips::pipeline {
 namespace {
@@ -68,6 +69,13 @@ TEST_F(GraphHealthTest, NobodyButRipsIsNobody) {
   Node(3, "/rips");
   expected_.own_participants = {ParticipantGuid(2)};
   EXPECT_THAT(Examine().problems, ElementsAre(kNobody));
+}
+
+TEST_F(GraphHealthTest, AfterTheAddressHasChangedTheConfigurationIsNotToBlame) {
+  expected_.moved = true;
+  EXPECT_THAT(Examine().problems,
+              ElementsAre("sensor pc1 sees no ROS node on domain 7 since its host's addresses "
+                          "changed; start the ROS nodes again"));
 }
 
 TEST_F(GraphHealthTest, WhatIsNoRosIsNobody) {
@@ -216,6 +224,28 @@ TEST_F(BlindAlarmTest, WhatComesAndGoesIsNoFlood) {
   At(3'600 + 700, {});
   EXPECT_THAT(At(3'600 + 710, {"a"}), IsEmpty());
   EXPECT_THAT(At(3'600 + 770, {"a"}), ElementsAre("a")) << "it had been gone for ten minutes";
+}
+
+TEST_F(BlindAlarmTest, ThatDdsBeginsAgainIsToldAtOnceAndOnce) {
+  const std::string moved = absl::StrCat("sensor base: ", model::kDdsBeginsAgain, "eth0 had a");
+  EXPECT_THAT(At(100, {"a", moved}), ElementsAre(moved));
+  EXPECT_THAT(At(101, {"a", moved}), IsEmpty());
+  EXPECT_THAT(At(105, {}), IsEmpty());
+  EXPECT_TRUE(alarm_.Over());
+  for (int64_t second = 110; second < 600; second += 10) {
+    EXPECT_THAT(At(second, {moved}), IsEmpty());
+    EXPECT_THAT(At(second + 5, {}), IsEmpty());
+  }
+  EXPECT_THAT(At(1'200, {moved}), ElementsAre(moved)) << "it had been gone for ten minutes";
+}
+
+TEST_F(BlindAlarmTest, ThatDdsBeganAgainIsToldThoughItIsOverBeforeAnybodyLooks) {
+  const std::string moved = absl::StrCat(model::kDdsBeginsAgain, "eth0 had a");
+  alarm_.Set({moved}, 0);
+  alarm_.Set({}, 1);
+  alarm_.Set({}, 2);
+  EXPECT_THAT(alarm_.Due(3), ElementsAre(moved));
+  EXPECT_TRUE(alarm_.Over());
 }
 
 TEST_F(BlindAlarmTest, RemembersABoundedNumber) {

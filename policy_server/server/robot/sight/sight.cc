@@ -3,8 +3,10 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "services/model/dds_problem.h"
 #include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
@@ -12,6 +14,12 @@ namespace {
 
 // Of one sensor's reasons, so that a hostile one cannot fill the status.
 constexpr size_t kReasonsShown = 16;
+bool HasMoved(const SensorHost& host) {
+  return std::any_of(
+      host.state.blind.begin(), host.state.blind.end(),
+      [](const std::string& reason) { return absl::StartsWith(reason, model::kDdsBeginsAgain); });
+}
+
 // Between two snapshots that are asked for because the graph is truncated.
 constexpr int64_t kRecoveryNs = 60 * kNanosPerSecond;
 
@@ -31,15 +39,17 @@ void Sight::ExamineGraph() {
     // Of a sensor that is away, what was left out last stands.
     return CountLeftOut(left_out_counted_.value_or(0), false);
   }
-  auto found_from = std::make_tuple(graph_.revision(), own_agents_.participants(),
-                                    own_agents_.parts(), primary->session->domain);
+  auto found_from =
+      std::make_tuple(graph_.revision(), own_agents_.participants(), own_agents_.parts(),
+                      primary->session->domain, HasMoved(*primary));
   if (found_from == examined_) return;
   examined_ = std::move(found_from);
-  const auto& [revision, participants, parts, domain] = examined_;
+  const auto& [revision, participants, parts, domain, moved] = examined_;
   health_ = pipeline::ExamineGraph(graph_.get(), {.sensor = primary->name,
                                                   .domain = domain,
                                                   .own_participants = participants,
-                                                  .parts = parts});
+                                                  .parts = parts,
+                                                  .moved = moved});
   const ros2::Truncation truncation = graph_->truncation();
   CountLeftOut(truncation.left_out, truncation_alarm_.Set(truncation, context_.now_ns()));
 }

@@ -68,8 +68,10 @@ class Sight {
   std::optional<size_t> blind_counted_;
   BlindAlarm blind_alarm_;
   GraphHealth health_;
-  // What health_ was found from: revision, participants and parts of our agents, domain.
-  std::tuple<uint64_t, std::vector<ros2::Guid>, std::vector<std::string>, uint32_t> examined_ = {};
+  // What health_ was found from: revision, participants and parts of our agents, domain, whether
+  // its addresses have changed.
+  std::tuple<uint64_t, std::vector<ros2::Guid>, std::vector<std::string>, uint32_t, bool>
+      examined_ = {};
   TruncationAlarm truncation_alarm_;
   std::optional<uint64_t> left_out_counted_;
   // The sensor is not asked for its graph again before.
