@@ -18,6 +18,7 @@
 #include "services/rpc/credentials.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -152,16 +153,19 @@ class Running {
 }  // namespace
 
 int main(int argc, char** argv) {
+  rips::OpenStandardStreams();
   rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();
   rips::rpc::TrustGrpcLockOrder();
-  rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
+  auto notify = rips::ServiceManager::FromEnvironment();
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-actuator",
                                  .description = "Applies alert levels to a ROS 2 robot.",
                                  .default_config = "/etc/rips/actuator.yaml"};
   if (std::optional<int> code = rips::ParseDaemonFlags(argc, argv, info, &flags)) return *code;
+  if (!flags.check_config) rips::StartLogWriter();
+  rips::ServiceManager manager(std::move(notify));
   rips::BlockSignals();
 
   const auto loaded = rips::actuator::LoadConfig(flags.config);

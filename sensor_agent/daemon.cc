@@ -27,6 +27,7 @@
 #include "services/rpc/credentials.h"
 #include "services/runtime/await.h"
 #include "services/runtime/config_sections.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
@@ -331,7 +332,9 @@ int CheckConfig(const std::string& file, const SensorConfig& config) {
 }  // namespace
 
 int RunDaemon(const DaemonFlags& flags) {
-  ServiceManager manager(ServiceManager::FromEnvironment());
+  auto notify = ServiceManager::FromEnvironment();
+  if (!flags.check_config) StartLogWriter();
+  ServiceManager manager(std::move(notify));
   const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
   if (!text.ok()) return Fail(kExitConfig, "cannot read the configuration", text.status());
   const absl::StatusOr<SensorConfig> own = ParseSensorConfig(flags.config, *text);

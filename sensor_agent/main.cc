@@ -5,9 +5,11 @@
 #include "services/rpc/credentials.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/shutdown.h"
 
 int main(int argc, char** argv) {
+  rips::OpenStandardStreams();
   rips::ForbidCoreDumps();
   rips::rpc::RequireTls13();
   rips::rpc::RouteGrpcLogs();

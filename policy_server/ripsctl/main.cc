@@ -10,8 +10,10 @@
 
 #include "policy_server/ripsctl/app.h"
 #include "services/rpc/credentials.h"
+#include "services/runtime/daemon_log.h"
 
 int main(int argc, char** argv) {
+  rips::OpenStandardStreams();
   rips::rpc::RequireTls13();
   // gRPC logs to stderr what the operator is told anyway; the environment may ask for it.
   setenv("GRPC_VERBOSITY", "NONE", /*overwrite=*/0);

@@ -20,6 +20,7 @@
 #include "services/runtime/config_sections.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/needed_directories.h"
 #include "services/runtime/service_manager.h"
@@ -85,16 +86,19 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
 
 int main(int argc, char** argv) {
   using namespace rips;
+  OpenStandardStreams();
   ForbidCoreDumps();
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();
   rpc::TrustGrpcLockOrder();
-  ServiceManager manager(ServiceManager::FromEnvironment());
+  auto notify = ServiceManager::FromEnvironment();
   DaemonFlags flags;
   const DaemonInfo info{.name = "rips-policy-server",
                         .description = "Judges what sensors see and commands mode actuators.",
                         .default_config = "/etc/rips/policy-server.yaml"};
   if (const auto code = ParseDaemonFlags(argc, argv, info, &flags)) return *code;
+  if (!flags.check_config) StartLogWriter();
+  ServiceManager manager(std::move(notify));
 
   const absl::StatusOr<std::string> text = ReadConfigFile(flags.config);
   if (!text.ok()) {

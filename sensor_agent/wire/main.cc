@@ -13,6 +13,7 @@
 #include "sensor_agent/wire/tap.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
@@ -63,12 +64,14 @@ int Run(int argc, char** argv) {
   if (const std::optional<int> exit_code = ParseFlags(argc, argv, flags); exit_code.has_value()) {
     return *exit_code;
   }
+  QueueLog();  // its thread starts without the privileges that Tap::Create gives up
   ServiceManager manager(ServiceManager::FromEnvironment());
   BlockSignals();
   const RealClock clock;
   // Before any thread starts, since it gives up the privileges of this one.
   const auto tap = Tap::Create(flags.tap, &clock);
   if (!tap.ok()) return Fail("cannot listen", tap.status());
+  StartLogThread();
   const UniqueFd stop(eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK));
   if (stop.get() < 0) return Fail("cannot start", absl::ErrnoToStatus(errno, "eventfd"));
   const auto on_signal = [&stop] { eventfd_write(stop.get(), 1); };
@@ -88,6 +91,7 @@ int Run(int argc, char** argv) {
 }  // namespace rips::wire
 
 int main(int argc, char** argv) {
+  rips::OpenStandardStreams();
   rips::ForbidCoreDumps();
   return rips::wire::Run(argc, argv);
 }

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <memory>
+#include <mutex>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,11 +15,13 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "dds/dds.h"
+#include "dds/ddsrt/log.h"
 #include "services/base/status_macros.h"
 #include "services/dds/qos.h"
 #include "services/dds/raw_type.h"
 #include "services/dds/receiver_waker.h"
 #include "services/ros2/ros_name.h"
+#include "services/runtime/daemon_log.h"
 
 namespace rips::dds {
 namespace {
@@ -77,6 +80,23 @@ std::string InterfaceNames() {
     names.push_back(ros2::Printable(each->if_name));
   }
   return names.empty() ? "none" : absl::StrJoin(names, ", ");
+}
+
+// The middleware writes by itself to standard error otherwise, unformatted and unlimited. A trace
+// that the operator's CYCLONEDDS_URI asks for goes where that says.
+void RouteDdsLogs() {
+  static std::once_flag once;
+  std::call_once(once, [] {
+    dds_set_log_sink(
+        [](void*, const dds_log_data_t* line) {
+          const LogLevel level = (line->priority & (DDS_LC_FATAL | DDS_LC_ERROR)) != 0
+                                     ? LogLevel::kError
+                                 : (line->priority & DDS_LC_WARNING) != 0 ? LogLevel::kWarning
+                                                                          : LogLevel::kInfo;
+          LogOfLibrary(level, "dds", line->message);
+        },
+        nullptr);
+  });
 }
 
 }  // namespace
@@ -141,6 +161,7 @@ absl::StatusOr<std::shared_ptr<const Domain>> Domain::Create(const DomainOptions
   RIPS_ASSIGN_OR_RETURN(std::string xml, DomainXml(options, ReadRmemMax()));
   if (OperatorsOwnConfiguration()) xml = std::getenv("CYCLONEDDS_URI");
   RIPS_RETURN_IF_ERROR(FindInterface(options.interface));
+  RouteDdsLogs();
   DdsEntity entity(dds_create_domain(options.id, xml.c_str()));
   if (entity.get() == DDS_RETCODE_PRECONDITION_NOT_MET) {
     return absl::AlreadyExistsError(

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <cstdlib>
+#include <string>
 
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
@@ -43,6 +44,19 @@ TEST(DomainXmlTest, RefusesWhatIsNoInterface) {
     EXPECT_THAT(DomainXml({.interface = name}, 0),
                 StatusIs(absl::StatusCode::kInvalidArgument, HasSubstr("network interface")));
   }
+}
+
+TEST(DomainTest, WhatTheMiddlewareLogsIsALineOfOurs) {
+  const char* before = std::getenv("CYCLONEDDS_URI");
+  const std::string own = before == nullptr ? "" : before;
+  setenv("CYCLONEDDS_URI", "<CycloneDDS><Domain><Nonsense/></Domain></CycloneDDS>", 1);
+  ::testing::internal::CaptureStderr();
+  const auto refused = Domain::Create({.id = RandomDomain()});
+  const std::string log = ::testing::internal::GetCapturedStderr();
+  setenv("CYCLONEDDS_URI", own.c_str(), 1);
+
+  EXPECT_FALSE(refused.ok());
+  EXPECT_THAT(log, HasSubstr("Z error dds text=\"config: //CycloneDDS/Domain: Nonsense: unknown"));
 }
 
 TEST(ParticipantTest, OnTheLoopbackInterface) {

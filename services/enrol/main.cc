@@ -21,6 +21,7 @@
 #include "services/runtime/config_sections.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/text/escape.h"
 
 namespace rips::enrol {
@@ -135,6 +136,7 @@ int RenewAll(const Flags& flags) {
 }
 
 int Main(int argc, char** argv) {
+  OpenStandardStreams();
   ForbidCoreDumps();
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();

@@ -16,6 +16,7 @@
 #include "services/rpc/certificate.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/await.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/key_mode.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
@@ -86,12 +87,13 @@ void RequireTls13() {
 
 void RouteGrpcLogs() {
   gpr_set_log_function([](gpr_log_func_args* args) {
-    LogDebug("grpc", {{"text", args->message}, {"file", args->file}, {"line", args->line}});
+    LogOfLibrary(LogLevel::kDebug, "grpc", args->message,
+                 absl::StrCat(args->file, ":", args->line));
   });
   // It tells of each message with a text that is not UTF-8: peers would write into the log.
   google::protobuf::SetLogHandler(
       [](google::protobuf::LogLevel, const char* file, int line, const std::string& text) {
-        LogDebug("protobuf", {{"text", text}, {"file", file}, {"line", line}});
+        LogOfLibrary(LogLevel::kDebug, "protobuf", text, absl::StrCat(file, ":", line));
       });
 }
 

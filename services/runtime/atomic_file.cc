@@ -31,8 +31,9 @@ absl::Status WriteAll(int fd, absl::string_view bytes, const std::string& path) 
 }
 
 absl::Status WriteAndSync(const std::string& path, absl::string_view bytes, mode_t mode) {
+  // O_NONBLOCK: as below.
   const UniqueFd file(
-      open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW, mode));
+      open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC | O_NOFOLLOW | O_NONBLOCK, mode));
   if (file.get() < 0) return ErrnoStatus("create", path);
   RIPS_RETURN_IF_ERROR(WriteAll(file.get(), bytes, path));
   if (fsync(file.get()) != 0) return ErrnoStatus("sync", path);

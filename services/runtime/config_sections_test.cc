@@ -16,6 +16,7 @@ namespace rips {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 class TempDir {
  public:
@@ -101,6 +102,17 @@ TEST(ConfigSectionsTest, KnowsHostAndPort) {
                           "a b:1", "unix:/x:1", "a:1 ", "a:000001"}) {
     EXPECT_FALSE(IsHostPort(bad)) << bad;
   }
+}
+
+// A user who may write to the directory could stop the thread that writes a state file.
+TEST(AtomicFileTest, AFifoInThePlaceOfItsTemporaryFileStopsNothing) {
+  const TempDir dir;
+  const std::string path = dir / "state";
+  ASSERT_EQ(mkfifo((path + ".tmp").c_str(), 0600), 0);
+
+  EXPECT_THAT(WriteFileAtomically(path, "text"), Not(IsOk()));
+  EXPECT_THAT(WriteFileAtomically(path, "text"), IsOk());
+  EXPECT_EQ(*ReadFile(path, 10), "text");
 }
 
 TEST(AtomicFileTest, ReplacesTheWholeFile) {

@@ -1,46 +1,18 @@
 #include "services/runtime/log.h"
 
 #include <atomic>
-#include <memory>
+#include <string>
 
 #include "absl/strings/str_format.h"
+#include "services/runtime/daemon_log.h"
+#include "services/runtime/log_writer.h"
 #include "services/text/utf8.h"
-#include "spdlog/pattern_formatter.h"
-#include "spdlog/sinks/stdout_sinks.h"
-#include "spdlog/spdlog.h"
 
 namespace rips {
 namespace {
 
 // The one mutable global: a log level belongs to the process.
 std::atomic<LogLevel> g_level{LogLevel::kInfo};
-
-spdlog::logger& Logger() {
-  static const std::shared_ptr<spdlog::logger> logger = [] {
-    auto made =
-        std::make_shared<spdlog::logger>("rips", std::make_shared<spdlog::sinks::stderr_sink_mt>());
-    made->set_formatter(std::make_unique<spdlog::pattern_formatter>(
-        "%Y-%m-%dT%H:%M:%S.%eZ %l %v", spdlog::pattern_time_type::utc));
-    made->set_level(spdlog::level::trace);
-    made->flush_on(spdlog::level::trace);
-    return made;
-  }();
-  return *logger;
-}
-
-spdlog::level::level_enum ToSpdlog(LogLevel level) {
-  switch (level) {
-    case LogLevel::kDebug:
-      return spdlog::level::debug;
-    case LogLevel::kInfo:
-      return spdlog::level::info;
-    case LogLevel::kWarning:
-      return spdlog::level::warn;
-    case LogLevel::kError:
-      return spdlog::level::err;
-  }
-  return spdlog::level::err;
-}
 
 // Characters that could forge a line or reorder it on a terminal.
 bool MayForge(char32_t value) {
@@ -108,8 +80,7 @@ std::string FormatLogMessage(absl::string_view message, std::initializer_list<Lo
 
 void Log(LogLevel level, absl::string_view message, std::initializer_list<LogField> fields) {
   if (!LogEnabled(level)) return;
-  const std::string line = FormatLogMessage(message, fields);
-  Logger().log(ToSpdlog(level), spdlog::string_view_t(line.data(), line.size()));
+  WriteLogLine(level, FormatLogLine(level, FormatLogMessage(message, fields)));
 }
 
 }  // namespace rips

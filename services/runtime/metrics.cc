@@ -12,6 +12,7 @@
 #include "prometheus/text_serializer.h"
 #include "services/base/check.h"
 #include "services/base/status_macros.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/page_server.h"
 
@@ -185,10 +186,16 @@ absl::StatusOr<std::unique_ptr<MetricsServer>> MetricsServer::Start(absl::string
     return metrics->AddCounter("rips_metrics_connections_dropped_total", kDroppedHelp,
                                {{"reason", reason}});
   };
+  const Counter log_dropped = metrics->AddCounter(
+      "rips_log_lines_dropped_total", "Log lines that were not written: nothing read the log.");
   PageServer::Pages pages{
-      .quick = [metrics, has_ready = ready != nullptr](
-                   absl::string_view path,
-                   PageAnswer& answer) { return QuickPage(*metrics, has_ready, path, answer); },
+      .quick =
+          [metrics, has_ready = ready != nullptr, log_dropped](absl::string_view path,
+                                                               PageAnswer& answer) {
+            // One call at a time.
+            log_dropped.Increment(static_cast<double>(LogLinesDropped()) - log_dropped.Value());
+            return QuickPage(*metrics, has_ready, path, answer);
+          },
       .slow = [ready = std::move(ready)] { return ReadyPage(ready); },
       .dropped =
           [slow = counter("slow"), too_long = counter("long"),

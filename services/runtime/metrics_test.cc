@@ -1,15 +1,22 @@
 #include "services/runtime/metrics.h"
 
 #include <arpa/inet.h>
+#include <fcntl.h>
 #include <netinet/in.h>
 #include <sys/socket.h>
+#include <sys/wait.h>
 #include <unistd.h>
+
+#include <string>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
 #include "gtest/gtest.h"
 #include "services/base/status_matchers.h"
+#include "services/runtime/daemon_log.h"
+#include "services/runtime/log.h"
+#include "services/runtime/log_writer.h"
 #include "services/runtime/real_clock.h"
 
 namespace rips {
@@ -117,6 +124,35 @@ TEST(MetricsTest, WhatIsNotShownKeepsCounting) {
   EXPECT_THAT(metrics.Text(), HasSubstr("rips_plain 1\n")) << "has no labels";
   metrics.SetShown([](const MetricLabels&) { return true; });
   EXPECT_THAT(metrics.Text(), HasSubstr("rips_x_total{robot=\"gone\"} 2\n"));
+}
+
+// In a process of its own, whose log is a full pipe.
+TEST(MetricsServerTest, CountsDroppedLogLines) {
+  int ends[2];
+  ASSERT_EQ(pipe2(ends, O_CLOEXEC), 0);
+  while (TryWriteToLog(ends[1], std::string(4'095, 'x') + "\n")) {
+  }
+  const pid_t pid = fork();
+  if (pid == 0) {
+    dup2(ends[1], STDERR_FILENO);
+    StartLogWriter();
+    Metrics metrics;
+    const auto server =
+        MetricsServer::Start("127.0.0.1:0", &metrics, [] { return absl::Status(); });
+    const std::string before = Request((*server)->address(), "GET /metrics");
+    for (int i = 0; i < 10'000; ++i) LogInfo("working");
+    const std::string after = Request((*server)->address(), "GET /metrics");
+    const std::string expected =
+        absl::StrCat("\nrips_log_lines_dropped_total ", LogLinesDropped(), "\n");
+    const bool right = before.find("\nrips_log_lines_dropped_total 0\n") != std::string::npos &&
+                       after.find(expected) != std::string::npos && LogLinesDropped() > 0;
+    _exit(right ? 0 : 1);
+  }
+  close(ends[1]);
+  int status = 0;
+  ASSERT_EQ(waitpid(pid, &status, 0), pid);
+  EXPECT_EQ(status, 0);
+  close(ends[0]);
 }
 
 TEST(MetricsServerTest, ServesMetricsHealthAndReadiness) {

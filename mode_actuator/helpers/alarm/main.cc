@@ -15,6 +15,7 @@
 #include "services/base/status_macros.h"
 #include "services/runtime/config_sections.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 
@@ -84,6 +85,7 @@ absl::Status Run(const std::string& file, const std::string& device, const std::
 }  // namespace rips::actuator
 
 int main(int argc, char** argv) {
+  rips::OpenStandardStreams();
   std::string file = "/etc/rips/actuator.yaml";
   std::string device;
   std::string state;

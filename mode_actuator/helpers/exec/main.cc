@@ -19,6 +19,7 @@
 #include "services/local_socket/helper_socket.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/run_cgroups.h"
@@ -74,13 +75,16 @@ int CheckConfig(const ParsedConfig& parsed) {
 
 int main(int argc, char** argv) {
   if (rips::actuator::IsEnter(argc, argv)) return rips::actuator::EnterAndExec(argc, argv);
+  rips::OpenStandardStreams();
   rips::ForbidCoreDumps();
-  rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
+  auto notify = rips::ServiceManager::FromEnvironment();
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-exec",
                                  .description = "Runs programs for rips-actuator.",
                                  .default_config = "/etc/rips/actuator.yaml"};
   if (std::optional<int> code = rips::ParseDaemonFlags(argc, argv, info, &flags)) return *code;
+  if (!flags.check_config) rips::StartLogWriter();
+  rips::ServiceManager manager(std::move(notify));
   rips::BlockSignals();
   const auto loaded = Load(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());

@@ -18,6 +18,7 @@
 #include "services/local_socket/helper_socket.h"
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
+#include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
@@ -44,13 +45,16 @@ absl::StatusOr<ParsedConfig> Load(const std::string& path) {
 }  // namespace
 
 int main(int argc, char** argv) {
+  rips::OpenStandardStreams();
   rips::ForbidCoreDumps();
-  rips::ServiceManager manager(rips::ServiceManager::FromEnvironment());
+  auto notify = rips::ServiceManager::FromEnvironment();
   rips::DaemonFlags flags;
   const rips::DaemonInfo info = {.name = "rips-fw",
                                  .description = "Changes the packet filter for rips-actuator.",
                                  .default_config = "/etc/rips/actuator.yaml"};
   if (std::optional<int> code = rips::ParseDaemonFlags(argc, argv, info, &flags)) return *code;
+  if (!flags.check_config) rips::StartLogWriter();
+  rips::ServiceManager manager(std::move(notify));
   rips::BlockSignals();
   const auto loaded = Load(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());
