@@ -1,5 +1,7 @@
 // rips-actuator: brings one robot host to the level the policy server decided, and keeps it safe
 // when there is no server.
+#include <unistd.h>
+
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -23,6 +25,7 @@
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/needed_directories.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
@@ -60,13 +63,14 @@ int CheckConfig(const std::string& file, const LoadedConfig& loaded) {
       },
       &certificate);
   if (!mine.ok()) return Fail(rips::kExitConfig, mine);
-  std::fputs(rips::FormatSettings(loaded.settings).c_str(), stdout);
+  rips::OutputStream out(STDOUT_FILENO);
+  out << rips::FormatSettings(loaded.settings);
   std::vector<std::string> warnings = rips::actuator::Warnings(loaded);
   // What may come before the daemon starts.
   warnings.push_back(certificate);
   warnings.emplace_back(rips::dds::FindInterface(loaded.config.dds.interface).message());
   rips::PrintWarnings(warnings);
-  return 0;
+  return out.End(0);
 }
 
 // The agent, started again when it can do what it could not at its start, or when DDS must begin

@@ -1,5 +1,7 @@
 #include "sensor_agent/daemon.h"
 
+#include <unistd.h>
+
 #include <csignal>
 #include <cstdio>
 #include <memory>
@@ -32,6 +34,7 @@
 #include "services/runtime/metrics.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/needed_directories.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
@@ -320,13 +323,14 @@ int CheckConfig(const std::string& file, const SensorConfig& config) {
       &certificate);
   if (!mine.ok()) return Fail(kExitConfig, "wrong certificate", mine);
   const absl::Status interface = dds::FindInterface(config.dds.interface);
-  std::fputs(FormatSettings(config.settings).c_str(), stdout);
+  OutputStream out(STDOUT_FILENO);
+  out << FormatSettings(config.settings);
   // What may come before the daemon starts.
   std::vector<std::string> warnings = config.refused;
   warnings.push_back(certificate);
   warnings.emplace_back(interface.message());
   PrintWarnings(warnings);
-  return 0;
+  return out.End(0);
 }
 
 }  // namespace

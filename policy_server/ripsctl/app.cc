@@ -2,6 +2,7 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
+#include <sstream>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -76,10 +77,12 @@ class Parser {
         "Settings (--server, --cert, --key, --ca, --output, --timeout) come from flags, then\n"
         "RIPSCTL_SERVER, RIPSCTL_CERT, ..., then ~/.config/rips/ripsctl.yaml: the context that\n"
         "--context, RIPSCTL_CONTEXT or its key `current` names, then its top.\n"
-        "Exit codes: " +
-        absl::StrJoin(kExitCodes, ", ",
+        "Exit codes:" +
+        absl::StrJoin(kExitCodes, ",",
                       [](std::string* out, const ExitCodeMeaning& each) {
-                        absl::StrAppend(out, static_cast<int>(each.code), " ", each.meaning);
+                        const bool second_line = each.code == ExitCode::kUsage;
+                        absl::StrAppend(out, second_line ? "\n" : " ", static_cast<int>(each.code),
+                                        " ", each.meaning);
                       }) +
         ".");
     for (const Noun& noun : kNouns) {
@@ -94,7 +97,7 @@ class Parser {
   // The chosen command; nullptr after printing why there is none, with the code to exit with.
   Command* Parse(std::vector<std::string> args, const World& world, int* exit_code) {
     if (const std::string wrong = UnknownVerb(args); !wrong.empty()) {
-      world.err << "error: " << wrong << "\n";
+      TextStream(world.err) << "error: " << wrong << "\n";
       *exit_code = static_cast<int>(ExitCode::kUsage);
       return nullptr;
     }
@@ -103,13 +106,19 @@ class Parser {
     try {
       app_.parse(args);
     } catch (const CLI::ParseError& error) {
-      const int code = app_.exit(error, world.out, world.err);
+      // Help, or an error that repeats an argument.
+      std::ostringstream out;
+      std::ostringstream err;
+      const int code = app_.exit(error, out, err);
+      TextStream(world.out) << Lines{out.str()};
+      TextStream(world.err) << Lines{err.str()};
       *exit_code = static_cast<int>(code == 0 ? ExitCode::kDone : ExitCode::kUsage);
       return nullptr;
     }
     if (!garbled.empty() && chosen_->info().needs_server) {
-      world.err << "error: argument `" << garbled << "` is not UTF-8; the server takes no other "
-                << "text, so use a terminal whose locale is UTF-8\n";
+      TextStream(world.err) << "error: argument `" << garbled
+                            << "` is not UTF-8; the server takes no other "
+                            << "text, so use a terminal whose locale is UTF-8\n";
       *exit_code = static_cast<int>(ExitCode::kUsage);
       return nullptr;
     }
@@ -210,6 +219,7 @@ ExitCode RunCommand(Command& command, const RawSettings& flags, const World& wor
   env.in = world.in;
   env.sleep = world.sleep;
   env.terminal = world.terminal;
+  env.out_fd = world.out_fd;
   absl::Status status = ReadSettings(flags, command.info().uses, world, &env);
   if (status.ok()) status = Apply(env.settings, command, &env);
   if (status.ok()) status = command.Check();

@@ -33,6 +33,7 @@ struct World {
   // As Env's.
   std::function<void(absl::Duration)> sleep = absl::SleepFor;
   TerminalFds terminal = {};
+  int out_fd = -1;
 };
 
 // Mutual TLS to `server` with the files of the settings.

@@ -20,6 +20,7 @@
 #include "grpcpp/server_builder.h"
 #include "gtest/gtest.h"
 #include "policy_server/ripsctl/app.h"
+#include "policy_server/ripsctl/every_verb.h"
 #include "policy_server/ripsctl/offline_run.h"
 #include "policy_server/ripsctl/ripsctl_fixture.h"
 #include "services/base/status_matchers.h"
@@ -37,32 +38,10 @@ using ::testing::Not;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
 
-// The subcommands that a page of help lists.
-std::vector<std::string> Subcommands(const std::string& help) {
-  std::vector<std::string> names;
-  const size_t begin = help.find("\nSubcommands:\n");
-  if (begin == std::string::npos) return names;
-  const size_t from = begin + absl::string_view("\nSubcommands:\n").size();
-  const std::string list = help.substr(from, help.find("\n\n", from) - from);
-  for (const absl::string_view line : absl::StrSplit(list, '\n')) {
-    const absl::string_view name = absl::StripLeadingAsciiWhitespace(line);
-    names.emplace_back(name.substr(0, name.find(' ')));
-  }
-  return names;
-}
-
 class RipsctlHelpTest : public RipsctlTest {
  protected:
-  // The words before --help of every page: of all, of each noun, of each verb.
-  std::vector<std::vector<std::string>> Pages() {
-    std::vector<std::vector<std::string>> pages = {{}};
-    for (const std::string& noun : Subcommands(Run({"--help"}).out)) {
-      pages.push_back({noun});
-      for (const std::string& verb : Subcommands(Run({noun, "--help"}).out)) {
-        pages.push_back({noun, verb});
-      }
-    }
-    return pages;
+  std::vector<Args> Pages() {
+    return HelpPages([this](const Args& args) { return Run(args); });
   }
 };
 
@@ -365,67 +344,11 @@ TEST_F(RipsctlTest, ARefusalIsExitCodeOne) {
 
 TEST_F(RipsctlHelpTest, EveryVerbThatItNamesPassesOnRefusals) {
   fake_.failure = grpc::Status(grpc::StatusCode::NOT_FOUND, "no such robot");
-  const std::string recording = home_ + "/r1.rips";
-  const std::string bundle = home_ + "/first";
-  File("first/manifest.yaml", "name: first\nrules: [r.rul]\nlevels: [A]\n");
-  File("first/r.rul", "levels: A;\n");
-  const std::vector<std::vector<std::string>> all = {
-      {"robot", "list"},
-      {"robot", "watch"},
-      {"robot", "show", "r1"},
-      {"robot", "graph", "r1"},
-      {"robot", "config", "r1"},
-      {"robot", "interest", "r1"},
-      {"robot", "coverage", "r1"},
-      {"robot", "receipts", "r1"},
-      {"robot", "drill", "r1"},
-      {"robot", "maintenance", "r1", "--end", "--reason", "x"},
-      {"level", "show", "r1"},
-      {"level", "history", "r1"},
-      {"level", "raise", "r1", "--to", "A", "--reason", "x"},
-      {"level", "lower", "r1", "--to", "A", "--reason", "x"},
-      {"level", "approve", "r1", "333333", "--reason", "x"},
-      {"alert", "list"},
-      {"alert", "watch"},
-      {"alert", "ack", "333333"},
-      {"alert", "recording", "1", "--out", recording},
-      {"explain", "r1"},
-      {"rules", "push", bundle},
-      {"rules", "list"},
-      {"rules", "activate", "directory", "--all", "--reason", "x"},
-      {"rules", "rollback", "--all", "--reason", "x"},
-      {"rules", "stop", "--reason", "x"},
-      {"rules", "status"},
-      {"rules", "shadow", "--end", "--all", "--reason", "x"},
-      {"rules", "resume", "r1", "--reason", "x"},
-      {"signal", "send", "r1", "SIGUSR1", "--reason", "x"},
-      {"agent", "list"},
-      {"agent", "ban", "spiffe://rips/robot/r1/sensor/base", "--reason", "x"},
-      {"agent", "unban", "spiffe://rips/robot/r1/sensor/base"},
-      {"agent", "reset-term", "r1", "base", "--reason", "x"},
-      {"enrol", "create-token", "r1", "base"},
-      {"enrol", "revoke-token", "00112233aabbccdd"},
-      {"enrol", "list"},
-      {"record", "r1", "--out", recording},
-  };
-  const std::set<std::string> offline = {"rules check",  "rules fmt",    "rules builtins",
-                                         "rules test",   "rules replay", "rules sign",
-                                         "audit verify", "audit tail",   "audit export",
-                                         "context list", "context use",  "completion bash",
-                                         "top"};
-  std::set<std::string> tried = offline;
-  const auto is_whole = [](const std::string& noun) {
-    return noun == "record" || noun == "explain" || noun == "top";  // without a verb
-  };
-  for (const auto& args : all) {
-    tried.insert(is_whole(args[0]) ? args[0] : args[0] + " " + args[1]);
-  }
-  for (const std::vector<std::string>& page : Pages()) {
-    const std::string verb = absl::StrJoin(page, " ");
-    const bool is_verb = page.size() == 2 || is_whole(verb);
-    EXPECT_TRUE(!is_verb || tried.contains(verb)) << verb;
-  }
-  for (const auto& args : all) {
+  const std::vector<Args> all = ServerVerbs(directory_);
+  std::vector<Args> tried = all;
+  for (const Args& args : OfflineVerbs(directory_)) tried.push_back(args);
+  ExpectEveryVerb(Pages(), tried);
+  for (const Args& args : all) {
     const Result result = Run(args);
     EXPECT_EQ(result.code, 1) << args[0] << " " << args[1];
     EXPECT_EQ(result.err, "error: no such robot\n") << args[0] << " " << args[1];

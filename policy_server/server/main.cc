@@ -1,4 +1,6 @@
 // rips-policy-server: holds the rule engine and the alert level of a fleet.
+#include <unistd.h>
+
 #include <atomic>
 #include <csignal>
 #include <cstdio>
@@ -23,6 +25,7 @@
 #include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
 #include "services/runtime/needed_directories.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
 #include "services/runtime/ticker.h"
@@ -58,14 +61,15 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
     std::fprintf(stderr, "%s\n", std::string(problem.message()).c_str());
     return rips::kExitConfig;
   }
-  std::fputs(rips::FormatSettings(parsed.settings).c_str(), stdout);
+  rips::OutputStream out(STDOUT_FILENO);
+  out << rips::FormatSettings(parsed.settings);
   for (const auto& [path, robots] : inventory.files) {
-    std::printf("robots of %s: %zu\n", path.c_str(), robots);
+    out << "robots of " << path << ": " << robots << "\n";
   }
   std::map<std::string, size_t> bundles;
   for (const auto& robot : inventory.inventory.robots) ++bundles[robot.bundle];
   for (const auto& [bundle, robots] : bundles) {
-    std::printf("robots with bundle %s: %zu\n", bundle.c_str(), robots);
+    out << "robots with bundle " << bundle << ": " << robots << "\n";
   }
   std::vector<std::string> warnings = {certificate};
   for (const auto& [bundle, robots] : bundles) {
@@ -79,7 +83,7 @@ int CheckConfig(const std::string& file, const rips::server::ParsedServerConfig&
   warnings.insert(warnings.end(), inventory.inventory.warnings.begin(),
                   inventory.inventory.warnings.end());
   rips::PrintWarnings(warnings);  // what may come before the daemon starts
-  return 0;
+  return out.End(0);
 }
 
 }  // namespace

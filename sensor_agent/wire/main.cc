@@ -1,9 +1,11 @@
 // rips-wire: tells the sensor what is on the wire of a DDS domain, whether discovery shows it or
 // not.
 #include <sys/eventfd.h>
+#include <unistd.h>
 
 #include <cerrno>
 #include <csignal>
+#include <iostream>
 #include <memory>
 #include <optional>
 #include <string>
@@ -15,6 +17,7 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
@@ -48,7 +51,8 @@ std::optional<int> ParseFlags(int argc, char** argv, Flags& flags) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitConfig;
+    OutputStream out(STDOUT_FILENO);
+    return out.End(app.exit(error, out, std::cerr) == 0 ? 0 : kExitConfig);
   }
   SetLogLevel(*ParseLogLevel(log_level));
   return std::nullopt;

@@ -3,7 +3,6 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
-#include <cstdio>
 #include <iostream>
 #include <string>
 #include <vector>
@@ -22,6 +21,7 @@
 #include "services/runtime/core_dumps.h"
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/daemon_log.h"
+#include "services/runtime/output_stream.h"
 #include "services/text/escape.h"
 
 namespace rips::enrol {
@@ -51,8 +51,9 @@ int Fail(const absl::Status& status, const std::string& what = "") {
   return kFailed;
 }
 
-void PrintGood(const rpc::Peer& peer, const char* done, const KeyFolder& folder) {
-  std::cout << rpc::RoleName(peer.identity.role) << " of " << peer.identity.robot << " on "
+void PrintGood(const rpc::Peer& peer, const char* done, const KeyFolder& folder,
+               OutputStream& out) {
+  out << rpc::RoleName(peer.identity.role) << " of " << peer.identity.robot << " on "
             << peer.identity.host << ": " << done << "; certificate until "
             << UtcText(peer.not_after) << " in " << folder.path() << "\n";
 }
@@ -76,7 +77,7 @@ absl::StatusOr<v1::EnrolmentToken> ReadToken(const std::string& path) {
   return ParseToken(text);
 }
 
-int Fetch(const Flags& flags) {
+int Fetch(const Flags& flags, OutputStream& out) {
   absl::StatusOr<v1::EnrolmentToken> token = ReadToken(flags.token);
   if (!token.ok()) return Fail(token.status(), flags.token == "-" ? "" : flags.token);
   if (!flags.server.empty()) token->set_server(flags.server);
@@ -86,7 +87,7 @@ int Fetch(const Flags& flags) {
     const auto peer = FetchFirst(*token, role, folder, absl::Seconds(flags.timeout_seconds),
                                  flags.replace_identity);
     if (peer.ok()) {
-      PrintGood(*peer, "enrolled", folder);
+      PrintGood(*peer, "enrolled", folder, out);
       WarnOfGroup(folder);
     } else {
       code = Fail(peer.status(), role);
@@ -95,7 +96,7 @@ int Fetch(const Flags& flags) {
   return code;
 }
 
-int RenewAll(const Flags& flags) {
+int RenewAll(const Flags& flags, OutputStream& out) {
   int code = kDone;
   int found = 0;
   for (const char* role : kRoles) {
@@ -108,7 +109,7 @@ int RenewAll(const Flags& flags) {
       continue;
     }
     if (!flags.now && !IsDue(*present, absl::Now())) {
-      PrintGood(*present, "not due yet", folder);
+      PrintGood(*present, "not due yet", folder, out);
       continue;
     }
     const std::string server = flags.server.empty() ? folder.Server() : flags.server;
@@ -122,7 +123,7 @@ int RenewAll(const Flags& flags) {
     }
     const auto peer = Renew(folder, server, absl::Seconds(flags.timeout_seconds));
     if (peer.ok()) {
-      PrintGood(*peer, "renewed", folder);
+      PrintGood(*peer, "renewed", folder, out);
     } else {
       code = Fail(peer.status(), role);
     }
@@ -141,6 +142,7 @@ int Main(int argc, char** argv) {
   rpc::RequireTls13();
   rpc::RouteGrpcLogs();
   rpc::TrustGrpcLockOrder();
+  OutputStream out(STDOUT_FILENO);
   Flags flags;
   CLI::App app("Fetches the certificates of a robot's agents from the policy server.",
                "rips-enrol");
@@ -172,13 +174,13 @@ int Main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? kDone : kUsage;
+    return out.End(app.exit(error, out, std::cerr) == 0 ? kDone : kUsage);
   }
   if (!flags.server.empty() && !IsHostPort(flags.server)) {
     std::cerr << "error: --server is `" << flags.server << "`; write HOST:PORT\n";
     return kUsage;
   }
-  return fetch->parsed() ? Fetch(flags) : RenewAll(flags);
+  return out.End(fetch->parsed() ? Fetch(flags, out) : RenewAll(flags, out));
 }
 
 }  // namespace

@@ -1,9 +1,14 @@
 #include "services/runtime/daemon_flags.h"
 
+#include <unistd.h>
+
+#include <iostream>
+
 #include "CLI/CLI.hpp"
 #include "absl/strings/str_cat.h"
 #include "services/runtime/atomic_file.h"
 #include "services/runtime/log.h"
+#include "services/runtime/output_stream.h"
 
 namespace rips {
 
@@ -30,7 +35,8 @@ std::optional<int> ParseDaemonFlags(int argc, const char* const* argv, const Dae
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : kExitConfig;
+    OutputStream out(STDOUT_FILENO);
+    return out.End(app.exit(error, out, std::cerr) == 0 ? 0 : kExitConfig);
   }
   SetLogLevel(*ParseLogLevel(log_level));
   return std::nullopt;

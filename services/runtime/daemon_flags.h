@@ -31,7 +31,7 @@ absl::string_view RipsVersion();
 
 // Reads the flags (also --log-level, which is applied, --help and --version). A value is the code
 // the process should exit with now: 0 after --help or --version, kExitConfig after a wrong flag;
-// both were printed.
+// both were printed (otherwise: OutputStream::End).
 std::optional<int> ParseDaemonFlags(int argc, const char* const* argv, const DaemonInfo& info,
                                     DaemonFlags* flags);
 

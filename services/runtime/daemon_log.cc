@@ -85,7 +85,7 @@ void OpenStandardStreams() {
     // whether there are any, and neither uses nor closes.
     if (fstat(fd, &info) == 0 && (info.st_mode & S_IFMT) != 0) continue;
     // The directory takes the number where there is no such device.
-    UniqueFd null(open("/dev/null", O_RDWR));
+    UniqueFd null(open("/dev/null", fd == STDOUT_FILENO ? O_RDONLY : O_RDWR));
     if (null.get() < 0) null = UniqueFd(open("/", O_RDONLY | O_DIRECTORY));
     if (null.get() == fd) {
       null.Release();

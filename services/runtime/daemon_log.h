@@ -19,7 +19,8 @@
 namespace rips {
 
 // Opens each of the descriptors 0 to 2 that is closed on /dev/null. Otherwise a socket or a
-// database would get the number, and with it what is printed. Before anything else in every main().
+// database would get the number, and with it what is printed. Writing to such a standard output
+// fails with EBADF, as before. Before anything else in every main().
 void OpenStandardStreams();
 
 // QueueLog and StartLogThread. From then on nothing that this process writes to standard error

@@ -1,6 +1,9 @@
 // rips-alarm: tries the alarms of an actuator.yaml by hand.
+#include <unistd.h>
+
 #include <algorithm>
 #include <cstdio>
+#include <iostream>
 #include <memory>
 #include <string>
 
@@ -17,7 +20,9 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/real_clock.h"
+#include "services/text/escape.h"
 
 namespace rips::actuator {
 namespace {
@@ -46,7 +51,8 @@ absl::StatusOr<std::string> Describe(AlarmBoard& board, const AlarmSpec& spec) {
   return result.observed;
 }
 
-absl::Status Run(const std::string& file, const std::string& device, const std::string& state) {
+absl::Status Run(const std::string& file, const std::string& device, const std::string& state,
+                 OutputStream& out) {
   RIPS_ASSIGN_OR_RETURN(const std::string text, ReadConfigFile(file));
   RIPS_ASSIGN_OR_RETURN(const ParsedConfig parsed, ParseConfig(file, text));
   const std::vector<AlarmSpec>& devices = parsed.config.devices;
@@ -63,7 +69,7 @@ absl::Status Run(const std::string& file, const std::string& device, const std::
   if (!state.empty()) {
     AlarmBoard board({*spec}, RealAlarms(), &clock);
     const AlarmResult result = Carry(board, device, AlarmOrder::kSet, wanted);
-    if (result.status.ok()) std::printf("%s: %s\n", device.c_str(), result.detail.c_str());
+    if (result.status.ok()) out << device << ": " << EscapeText(result.detail) << "\n";
     return result.status;
   }
   absl::Status all;
@@ -72,7 +78,7 @@ absl::Status Run(const std::string& file, const std::string& device, const std::
     if (!device.empty() && each.name != device) continue;
     const absl::StatusOr<std::string> said = Describe(board, each);
     if (said.ok()) {
-      std::printf("%s: %s\n", each.name.c_str(), said->c_str());
+      out << each.name << ": " << EscapeText(*said) << "\n";
     } else {
       all = absl::UnavailableError(absl::StrCat(all.message(), all.ok() ? "" : "\n", each.name,
                                                 ": ", said.status().message()));
@@ -86,6 +92,7 @@ absl::Status Run(const std::string& file, const std::string& device, const std::
 
 int main(int argc, char** argv) {
   rips::OpenStandardStreams();
+  rips::OutputStream out(STDOUT_FILENO);
   std::string file = "/etc/rips/actuator.yaml";
   std::string device;
   std::string state;
@@ -97,12 +104,12 @@ int main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? 0 : rips::kExitConfig;
+    return out.End(app.exit(error, out, std::cerr) == 0 ? 0 : rips::kExitConfig);
   }
   rips::SetLogLevel(rips::LogLevel::kError);  // what matters is printed
-  const absl::Status status = rips::actuator::Run(file, device, state);
-  if (status.ok()) return 0;
+  const absl::Status status = rips::actuator::Run(file, device, state, out);
+  if (status.ok()) return out.End(0);
   std::fprintf(stderr, "%s\n", std::string(status.message()).c_str());
   const bool mistake = absl::IsInvalidArgument(status);
-  return mistake ? rips::kExitConfig : rips::kExitFailed;
+  return out.End(mistake ? rips::kExitConfig : rips::kExitFailed);
 }

@@ -1,5 +1,7 @@
 // rips-exec: runs programs of the allow-list for rips-actuator, so that the process that speaks
 // with the network never starts one. It serves only root and one user, on a Unix socket.
+#include <unistd.h>
+
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -21,6 +23,7 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/run_cgroups.h"
 #include "services/runtime/service_manager.h"
@@ -62,13 +65,13 @@ absl::StatusOr<std::unique_ptr<RunCgroups>> OpenCgroups(const Config& config, bo
 }
 
 int CheckConfig(const ParsedConfig& parsed) {
-  std::fputs(rips::FormatSettings(parsed.settings).c_str(), stdout);
+  rips::OutputStream out(STDOUT_FILENO);
+  out << rips::FormatSettings(parsed.settings);
   const auto cgroups = OpenCgroups(parsed.config, true);
   if (!cgroups.ok()) {
-    std::printf("# warning: %s: %s\n", kWithoutCgroups,
-                std::string(cgroups.status().message()).c_str());
+    out << "# warning: " << kWithoutCgroups << ": " << cgroups.status().message() << "\n";
   }
-  return 0;
+  return out.End(0);
 }
 
 }  // namespace

@@ -1,5 +1,7 @@
 // rips-fw: changes the packet filter of one robot host for rips-actuator. The only process of RIPS
 // that needs CAP_NET_ADMIN; it serves only root and one user, on a Unix socket.
+#include <unistd.h>
+
 #include <cstdio>
 #include <memory>
 #include <optional>
@@ -20,6 +22,7 @@
 #include "services/runtime/daemon_flags.h"
 #include "services/runtime/daemon_log.h"
 #include "services/runtime/log.h"
+#include "services/runtime/output_stream.h"
 #include "services/runtime/real_clock.h"
 #include "services/runtime/service_manager.h"
 #include "services/runtime/shutdown.h"
@@ -59,8 +62,9 @@ int main(int argc, char** argv) {
   const auto loaded = Load(flags.config);
   if (!loaded.ok()) return Fail(rips::kExitConfig, loaded.status());
   if (flags.check_config) {
-    std::fputs(rips::FormatSettings(loaded->settings).c_str(), stdout);
-    return 0;
+    rips::OutputStream out(STDOUT_FILENO);
+    out << rips::FormatSettings(loaded->settings);
+    return out.End(0);
   }
   const rips::actuator::Config& config = loaded->config;
   const auto user = rips::actuator::FindUser(config.firewall.user, "firewall.user");

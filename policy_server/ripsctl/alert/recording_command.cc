@@ -36,10 +36,9 @@ class AlertRecording final : public Command {
     const absl::Status written = file_.Write(*reader, expiry);
     if (!written.ok()) context.TryCancel();
     const grpc::Status ended = expiry.End(reader->Finish());
-    if (!written.ok() || !ended.ok()) file_.Discard();
     RIPS_RETURN_IF_ERROR(written);
     RIPS_RETURN_IF_ERROR(rpc::FromGrpc(ended));
-    RIPS_RETURN_IF_ERROR(file_.Sync());
+    RIPS_RETURN_IF_ERROR(FileError(file_.Finish()));
     return Print(env);
   }
 

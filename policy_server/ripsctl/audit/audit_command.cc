@@ -216,6 +216,7 @@ class ExportAudit final : public AuditCommand {
                       /*needs_server=*/false}) {}
   absl::StatusOr<ExitCode> Run(Env& env) override {
     const auto report = Verify({}, [&](uint64_t sequence, absl::string_view payload) {
+      if (!env.out.ok()) return;
       AuditRecord record;
       record.ParseFromArray(payload.data(), static_cast<int>(payload.size()));
       PrintJson(RecordJson(sequence, record), env.out);

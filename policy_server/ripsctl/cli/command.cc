@@ -57,6 +57,10 @@ ExitCode Failed(Env& env, const absl::Status& status) {
   }
 }
 
+absl::Status FileError(const absl::Status& status) {
+  return status.ok() ? status : absl::InternalError(status.message());
+}
+
 void RobotCommand::AddFlags(CLI::App& app) {
   app.add_option("ROBOT", robot_, "Robot id")->required();
 }

@@ -79,6 +79,10 @@ ExitCode UsageError(Env& env, absl::string_view message);
 // The same for what a call came to: kUnreachable if there was no answer, else kRefused.
 ExitCode Failed(Env& env, const absl::Status& status);
 
+// `status` of a file that this process writes or reads, such as a full disk: printed as it is, and
+// not taken for the server's (kRefused).
+absl::Status FileError(const absl::Status& status);
+
 // OK for a name that could be a robot's.
 absl::Status CheckRobot(absl::string_view robot);
 // OK for 1 to 1,000 bytes of UTF-8 with something in them.

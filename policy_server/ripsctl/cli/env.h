@@ -4,12 +4,12 @@
 
 #include <functional>
 #include <istream>
-#include <ostream>
 #include <string>
 
 #include "absl/time/clock.h"
 #include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/settings.h"
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "rips/v1/operator.grpc.pb.h"
 
 namespace rips::ripsctl {
@@ -17,7 +17,7 @@ namespace rips::ripsctl {
 // What the process exits with.
 enum class ExitCode {
   kDone = 0,
-  kRefused = 1,      // the server said no, or a check found something
+  kRefused = 1,      // the server said no, a check found something, or output was not written
   kUsage = 2,        // wrong flags, settings or certificate files
   kUnreachable = 3,  // no answer from the server
 };
@@ -28,7 +28,7 @@ struct ExitCodeMeaning {
 };
 inline constexpr ExitCodeMeaning kExitCodes[] = {
     {ExitCode::kDone, "success"},
-    {ExitCode::kRefused, "refused or problems found"},
+    {ExitCode::kRefused, "refused, problems found or output not written"},
     {ExitCode::kUsage, "usage error"},
     {ExitCode::kUnreachable, "server unreachable"},
 };
@@ -44,8 +44,8 @@ struct TerminalFds {
 };
 
 struct Env {
-  std::ostream& out;
-  std::ostream& err;
+  TextStream out;
+  TextStream err;
   Output output = Output::kText;
   // For one call; a watch has none.
   absl::Duration timeout = absl::Seconds(10);
@@ -59,6 +59,8 @@ struct Env {
   // Standard input. Not owned; nullptr is an empty one.
   std::istream* in = nullptr;
   TerminalFds terminal;
+  // The descriptor below `out`, not owned; -1: there is none. A watch ends when its reader goes.
+  int out_fd = -1;
   // Waits between two questions; a test lets time pass instead.
   std::function<void(absl::Duration)> sleep = absl::SleepFor;
 

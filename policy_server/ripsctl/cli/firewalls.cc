@@ -166,8 +166,7 @@ std::vector<std::string> SourceLines(const v1::HostFirewall& drops,
   return lines;
 }
 
-void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
-                    std::ostream& out) {
+void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls, TextStream out) {
   if (!firewalls.ok()) {
     out << "what its firewalls hold is not known: " << EscapeText(firewalls.status().message())
         << "\n";

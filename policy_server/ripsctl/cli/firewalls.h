@@ -4,7 +4,6 @@
 
 #include <map>
 #include <optional>
-#include <ostream>
 #include <string>
 #include <vector>
 
@@ -34,8 +33,7 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
 
 // One line for each step and what each host drops, and what that means for a lowering. Nothing if
 // nothing is held; one line if that cannot be read.
-void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls,
-                    std::ostream& out);
+void PrintFirewalls(const absl::StatusOr<std::vector<FirewallOfHost>>& firewalls, TextStream out);
 
 // After a change of level: that nothing is held any more, or else what is. Nothing if nothing was
 // held before, or if the robot's level cannot be read.

@@ -216,8 +216,9 @@ Json ToJson(const v1::GetLevelResponse& response) {
           {"lowering_rules", std::move(lowering)}};
 }
 
-void PrintJson(const Json& json, std::ostream& out) {
-  out << json.dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace) << std::endl;
+void PrintJson(const Json& json, TextStream out) {
+  out.Raw(json.dump(-1, ' ', /*ensure_ascii=*/true, Json::error_handler_t::replace));
+  out << std::endl;
 }
 
 }  // namespace rips::ripsctl

@@ -4,9 +4,9 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_CLI_JSON_VIEW_H_
 
 #include <nlohmann/json_fwd.hpp>
-#include <ostream>
 #include <string>
 
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "rips/v1/observation.pb.h"
 #include "rips/v1/operator.pb.h"
 
@@ -53,7 +53,7 @@ std::string AckText(const v1::Acknowledgement& ack);
 std::string DecisionIdText(const v1::DecisionId& decision_id);
 
 // On one line.
-void PrintJson(const Json& json, std::ostream& out);
+void PrintJson(const Json& json, TextStream out);
 
 }  // namespace rips::ripsctl
 

@@ -9,6 +9,7 @@
 #include "grpcpp/client_context.h"
 #include "grpcpp/support/status.h"
 #include "policy_server/ripsctl/cli/env.h"
+#include "policy_server/ripsctl/cli/reader_watch.h"
 #include "policy_server/ripsctl/cli/server_expiry.h"
 
 namespace rips::ripsctl {
@@ -34,7 +35,7 @@ absl::Status KeepWatching(const WatchHooks& hooks, const WatchOnce& once);
 absl::Status KeepWatching(Env& env, const WatchOnce& once);
 
 // The same for streams of messages: `open` makes the call with a context, `on_message` takes what
-// comes.
+// comes. Ends well when env.out can no longer be written, or is no longer read.
 template <typename Message, typename Open, typename OnMessage>
 absl::Status Watch(Env& env, const Open& open, const OnMessage& on_message) {
   return KeepWatching(env, [&](bool again, const std::function<void()>& heard) {
@@ -42,13 +43,19 @@ absl::Status Watch(Env& env, const Open& open, const OnMessage& on_message) {
     context.set_wait_for_ready(again);
     const auto reader = open(&context);
     ServerExpiry expiry(&context);
-    Message message;
-    while (reader->Read(&message)) {
-      heard();
-      expiry.Received();
-      on_message(message);
+    {
+      const ReaderWatch out_reader(env.out_fd, [&] { context.TryCancel(); });
+      Message message;
+      while (env.out.ok() && reader->Read(&message)) {
+        heard();
+        expiry.Received();
+        on_message(message);
+      }
+      if (out_reader.gone()) env.out.Close();
+      if (!env.out.ok()) context.TryCancel();
     }
-    return expiry.End(reader->Finish());
+    const grpc::Status end = expiry.End(reader->Finish());
+    return env.out.ok() ? end : grpc::Status::OK;
   });
 }
 

@@ -8,6 +8,7 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "absl/strings/strip.h"
 #include "absl/time/time.h"
 #include "services/text/utf8.h"
@@ -34,6 +35,14 @@ std::string ShortBundle(absl::string_view id) {
 std::string ShortId(absl::string_view id) {
   constexpr size_t kDigits = 8;
   return std::string(id.substr(0, kDigits));
+}
+
+std::string ShellWord(absl::string_view text) {
+  const bool plain = std::all_of(text.begin(), text.end(), [](char c) {
+    return absl::ascii_isalnum(static_cast<unsigned char>(c)) || absl::StrContains("_./:@%+=,-", c);
+  });
+  if (plain && !text.empty() && text[0] != '-') return std::string(text);
+  return absl::StrCat("'", absl::StrReplaceAll(EscapeText(text), {{"'", "'\\''"}}), "'");
 }
 
 std::string EnumText(absl::string_view name, absl::string_view prefix,
@@ -64,7 +73,7 @@ std::vector<std::string> Table::Lines() const {
   return lines;
 }
 
-void Table::Print(std::ostream& out, absl::string_view margin) const {
+void Table::Print(TextStream out, absl::string_view margin) const {
   for (const std::string& line : Lines()) out << margin << line << "\n";
 }
 
@@ -74,7 +83,7 @@ size_t TerminalColumns(int fd) {
 }
 
 void PrintWrapped(absl::string_view text, absl::string_view margin, size_t columns,
-                  std::ostream& out) {
+                  TextStream out) {
   const size_t indent = CountCodePoints(margin);
   const std::string escaped = EscapeText(text);
   absl::string_view rest = escaped;

@@ -4,11 +4,11 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <ostream>
 #include <string>
 #include <vector>
 
 #include "absl/strings/string_view.h"
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "services/text/escape.h"
 
 namespace rips::ripsctl {
@@ -23,6 +23,10 @@ std::string ShortBundle(absl::string_view id);
 // The first 8 digits of an alert's or a level change's id, enough for `ripsctl explain`.
 std::string ShortId(absl::string_view id);
 
+// `text` as a word of a command that the operator may copy: escaped, and in single quotes unless a
+// shell takes it as it is. A server must not write the operator's commands.
+std::string ShellWord(absl::string_view text);
+
 // `name` of a value of a protobuf enum in lower case, without `prefix`; `otherwise` for one that
 // has no name or is unspecified.
 std::string EnumText(absl::string_view name, absl::string_view prefix, absl::string_view otherwise);
@@ -33,8 +37,7 @@ size_t TerminalColumns(int fd);
 // `text`, escaped, each line behind `margin` and with it at most `columns` code points wide: broken
 // at blanks, and within a word that is longer than a line. `columns` 0 or no wider than `margin`:
 // one line.
-void PrintWrapped(absl::string_view text, absl::string_view margin, size_t columns,
-                  std::ostream& out);
+void PrintWrapped(absl::string_view text, absl::string_view margin, size_t columns, TextStream out);
 
 // Columns two spaces apart, as wide as their widest cell in code points; the last is not padded.
 class Table {
@@ -43,7 +46,7 @@ class Table {
   // Cells are escaped; an empty one shows as `-`. As many as the header has.
   void Add(std::vector<std::string> cells);
   // Each line behind `margin`.
-  void Print(std::ostream& out, absl::string_view margin = "") const;
+  void Print(TextStream out, absl::string_view margin = "") const;
   // What Print writes, line by line, the header first, without the line ends.
   std::vector<std::string> Lines() const;
 

@@ -134,5 +134,15 @@ TEST(TerminalColumnsTest, AFileIsNoTerminal) {
   EXPECT_EQ(TerminalColumns(1'000'000), 0u);
 }
 
+TEST(ShellWordTest, AServerWritesNoCommand) {
+  EXPECT_EQ(ShellWord("r1"), "r1");
+  EXPECT_EQ(ShellWord("sha256:0a/b.c"), "sha256:0a/b.c");
+  EXPECT_EQ(ShellWord(""), "''");
+  EXPECT_EQ(ShellWord("--out"), "'--out'");
+  EXPECT_EQ(ShellWord("$(reboot)"), "'$(reboot)'");
+  EXPECT_EQ(ShellWord("a\nb"), "'a\\x0ab'");
+  EXPECT_EQ(ShellWord("a';reboot #"), "'a'\\'';reboot #'");
+}
+
 }  // namespace
 }  // namespace rips::ripsctl

@@ -70,7 +70,7 @@ std::string PendingText(absl::string_view robot, const v1::PendingApproval& pend
                       "; until ", ShortTime(pending.expires_unix_ns()), ": ", pending.reason());
 }
 
-void PrintWarnings(const v1::LevelResponse& found, std::ostream& out) {
+void PrintWarnings(const v1::LevelResponse& found, TextStream out) {
   for (const std::string& why : found.blind_because()) out << "blind: " << EscapeText(why) << "\n";
   for (const std::string& rule : found.would_raise_again()) {
     out << "may be raised again by rule " << EscapeText(rule) << kRaisedWhen << "\n";
@@ -78,7 +78,7 @@ void PrintWarnings(const v1::LevelResponse& found, std::ostream& out) {
 }
 
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
-                 absl::string_view margin, std::ostream& out, absl::string_view not_tried) {
+                 absl::string_view margin, TextStream out, absl::string_view not_tried) {
   for (const std::string& why : found.blind_because()) {
     out << margin << "blind: " << EscapeText(why) << "\n";
   }

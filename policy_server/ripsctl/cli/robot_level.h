@@ -2,7 +2,6 @@
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_CLI_ROBOT_LEVEL_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_CLI_ROBOT_LEVEL_H_
 
-#include <ostream>
 #include <string>
 
 #include "absl/status/statusor.h"
@@ -24,7 +23,7 @@ Table StatusTable(const v1::RobotStatus& status);
 // Rules on the graph are evaluated when it changes.
 inline constexpr absl::string_view kRaisedWhen = " at the next change of the graph, not before";
 // What an operator should know of a lowering that is in force, one line each.
-void PrintWarnings(const v1::LevelResponse& found, std::ostream& out);
+void PrintWarnings(const v1::LevelResponse& found, TextStream out);
 // What waits for a second operator, in one line; to be escaped.
 std::string PendingText(absl::string_view robot, const v1::PendingApproval& pending);
 // What rules may do to the level now, to be escaped; empty if it is the lowest, or not known.
@@ -38,7 +37,7 @@ std::string StageAndPending(const v1::RobotStatus& status);
 // What a dry run of a lowering found, one line each behind `margin`. `refused`: RIPS is blind, and
 // the operator has not accepted that. `not_tried`: the name of a rule that such a run leaves out.
 void PrintDryRun(absl::string_view robot, const v1::LevelResponse& found, bool refused,
-                 absl::string_view margin, std::ostream& out, absl::string_view not_tried = "");
+                 absl::string_view margin, TextStream out, absl::string_view not_tried = "");
 // Which rules a dry run does not try, for JSON.
 Json NotTried();
 

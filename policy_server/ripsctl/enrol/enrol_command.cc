@@ -87,7 +87,7 @@ class CreateToken final : public RobotCommand {
   }
   absl::StatusOr<ExitCode> Run(Env& env) override {
     // Before there is a token, so that none is lost.
-    if (!out_.empty()) RIPS_RETURN_IF_ERROR(WriteSecret(out_, ""));
+    if (!out_.empty()) RIPS_RETURN_IF_ERROR(FileError(WriteSecret(out_, "")));
     absl::StatusOr<ExitCode> code = Make(env);
     if (!code.ok() && !out_.empty()) unlink(out_.c_str());
     return code;
@@ -114,7 +114,7 @@ class CreateToken final : public RobotCommand {
     token.set_certificates_pem(response.certificates_pem());
     token.set_key_pem(key);
     const std::string text = enrol::FormatToken(token);
-    if (!out_.empty()) RIPS_RETURN_IF_ERROR(WriteFileAtomically(out_, text + "\n"));
+    if (!out_.empty()) RIPS_RETURN_IF_ERROR(FileError(WriteFileAtomically(out_, text + "\n")));
     if (env.json()) {
       Json json = {{"id", token.id()},
                    {"robot", robot_},

@@ -145,7 +145,7 @@ std::string RaisersText(const Explanation& explanation) {
     if (below.contains(each.guid())) name += ", as below";
     names.push_back(std::move(name));
   }
-  return names.empty() ? "" : absl::StrCat("  who: ", absl::StrJoin(names, "; "), "\n");
+  return absl::StrJoin(names, "; ");
 }
 
 // The lines of a file, those after the first as far to the left as they may stand.
@@ -169,7 +169,7 @@ std::vector<std::string> ConditionLines(absl::string_view condition) {
   return lines;
 }
 
-void PrintCondition(absl::string_view condition, absl::string_view margin, std::ostream& out) {
+void PrintCondition(absl::string_view condition, absl::string_view margin, TextStream out) {
   const std::vector<std::string> lines = ConditionLines(condition);
   const size_t shown = std::min(lines.size(), kConditionLinesMax);
   for (size_t i = 0; i < shown; ++i) {
@@ -178,7 +178,7 @@ void PrintCondition(absl::string_view condition, absl::string_view margin, std::
   if (shown < lines.size()) out << margin << "(" << lines.size() - shown << " more lines)\n";
 }
 
-void PrintValues(const v1::Evidence& evidence, absl::string_view margin, std::ostream& out) {
+void PrintValues(const v1::Evidence& evidence, absl::string_view margin, TextStream out) {
   std::vector<std::string> pieces;
   size_t width = 0;
   for (const v1::EvidenceValue& value : evidence.values()) {
@@ -195,7 +195,7 @@ void PrintValues(const v1::Evidence& evidence, absl::string_view margin, std::os
   }
 }
 
-void PrintWhy(const v1::ExplainResponse& recorded, std::ostream& out) {
+void PrintWhy(const v1::ExplainResponse& recorded, TextStream out) {
   const v1::Evidence& evidence = recorded.evidence();
   if (!recorded.has_evidence()) {
     out << "\nWhy: " << EscapeText(NoEvidenceText(recorded)) << "\n";
@@ -261,7 +261,7 @@ std::string UnseenBecause(const Explanation& explanation) {
   return told ? "" : "the level is not read back, and a firewall may be on its way";
 }
 
-void PrintWho(const Explanation& explanation, std::ostream& out) {
+void PrintWho(const Explanation& explanation, TextStream out) {
   const v1::ExplainResponse& recorded = explanation.recorded;
   const auto& subjects = SubjectsOf(recorded);
   if (!subjects.empty()) {
@@ -307,7 +307,7 @@ std::string OutcomeText(const v1::Transition& transition) {
                       Behind(", ", transition.stage()), Behind(": ", transition.detail()));
 }
 
-void PrintOutcome(const v1::ExplainResponse& recorded, std::ostream& out) {
+void PrintOutcome(const v1::ExplainResponse& recorded, TextStream out) {
   const v1::Transition& own = recorded.transition();
   const std::string stage = own.refused() ? "" : StageText(own.stage());
   std::vector<std::pair<int64_t, std::string>> lines;
@@ -331,7 +331,7 @@ void PrintOutcome(const v1::ExplainResponse& recorded, std::ostream& out) {
 }
 
 void PrintLowering(absl::string_view robot, const Lowering& lowering,
-                   const v1::ExplainResponse& recorded, std::ostream& out) {
+                   const v1::ExplainResponse& recorded, TextStream out) {
   if (!lowering.found.ok()) {
     out << "  " << EscapeText(NoDryRunText(lowering.found.status())) << "\n";
     return;
@@ -348,22 +348,22 @@ void PrintLowering(absl::string_view robot, const Lowering& lowering,
 }
 
 // Who may do what next, and how.
-void PrintNext(const v1::GetLevelResponse& now, absl::string_view to, std::ostream& out) {
+void PrintNext(const v1::GetLevelResponse& now, absl::string_view to, TextStream out) {
   const std::string robot = EscapeText(now.status().robot());
   for (const v1::PendingApproval& each : now.pending_approvals()) {
     out << "  waits for a second operator: " << EscapeText(PendingText(robot, each))
-        << "\n    to approve it: ripsctl level approve " << robot << " "
-        << EscapeText(ShortId(each.id())) << " --reason TEXT --wait"
+        << "\n    to approve it: ripsctl level approve " << ShellWord(now.status().robot()) << " "
+        << ShellWord(ShortId(each.id())) << " --reason TEXT --wait"
         << (each.accept_blind() ? " --accept-blind" : "") << "\n";
   }
   if (now.pending_approvals().empty()) {
-    out << "  to lower it: ripsctl level lower " << robot << " --to " << EscapeText(to)
-        << " --reason TEXT --wait\n";
+    out << "  to lower it: ripsctl level lower " << ShellWord(now.status().robot()) << " --to "
+        << ShellWord(to) << " --reason TEXT --wait\n";
   }
 }
 
 // Which rule may lower it, and what of its condition is missing.
-void PrintLoweringRule(const v1::LoweringRule& rule, std::ostream& out) {
+void PrintLoweringRule(const v1::LoweringRule& rule, TextStream out) {
   const v1::Evidence& evidence = rule.evidence();
   out << "    rule " << EscapeText(rule.rule()) << Behind(", ", evidence.place()) << ": "
       << HoldsText(rule) << "\n";
@@ -374,7 +374,7 @@ void PrintLoweringRule(const v1::LoweringRule& rule, std::ostream& out) {
   }
 }
 
-void PrintNow(const Explanation& explanation, std::ostream& out) {
+void PrintNow(const Explanation& explanation, TextStream out) {
   if (!explanation.now.has_value()) return;
   if (!explanation.now->ok()) {
     out << "\nNow: not known: " << EscapeText(explanation.now->status().message()) << "\n";
@@ -409,9 +409,9 @@ void PrintNow(const Explanation& explanation, std::ostream& out) {
 }
 
 // The server keeps what led to such an alert.
-void PrintRecording(const v1::Alert& alert, std::ostream& out) {
+void PrintRecording(const v1::Alert& alert, TextStream out) {
   if (alert.severity() != "high" && alert.severity() != "critical") return;
-  out << "\nEvents that led to it:\n  ripsctl alert recording " << EscapeText(ShortId(alert.id()))
+  out << "\nEvents that led to it:\n  ripsctl alert recording " << ShellWord(ShortId(alert.id()))
       << " --out FILE\n";
 }
 
@@ -479,7 +479,7 @@ std::string NoDryRunText(const absl::Status& status) {
   return absl::StrCat("what would raise it again is not known: ", status.message());
 }
 
-void PrintExplanation(const Explanation& explanation, std::ostream& out) {
+void PrintExplanation(const Explanation& explanation, TextStream out) {
   const v1::ExplainResponse& recorded = explanation.recorded;
   if (!recorded.has_transition() && !recorded.has_alert()) {
     const bool known = explanation.now.has_value() && explanation.now->ok();
@@ -497,9 +497,11 @@ void PrintExplanation(const Explanation& explanation, std::ostream& out) {
       if (explanation.between.has_value()) {
         out << "before that, " << TransitionLine(*explanation.between) << "\n";
       }
+      const std::string raisers = RaisersText(explanation);
       out << "before that, " << TransitionLine(explanation.raised->transition()) << "\n"
-          << RaisersText(explanation) << "  why: ripsctl explain "
-          << EscapeText(ShortId(explanation.raised->transition().id())) << "\n";
+          << (raisers.empty() ? "" : "  who: ") << raisers << (raisers.empty() ? "" : "\n")
+          << "  why: ripsctl explain " << ShellWord(ShortId(explanation.raised->transition().id()))
+          << "\n";
     }
     PrintWhy(recorded, out);
     PrintWho(explanation, out);

@@ -6,11 +6,11 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
-#include <ostream>
 #include <string>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "rips/v1/operator.pb.h"
 
 namespace rips::ripsctl {
@@ -52,7 +52,7 @@ Presence PresenceOf(const v1::Subject& subject, const Explanation& explanation);
 
 // The parts, in this order, each left out if there is nothing to say: what happened, why, who,
 // whether the finding still stands, what came of it, which findings stand, what is now.
-void PrintExplanation(const Explanation& explanation, std::ostream& out);
+void PrintExplanation(const Explanation& explanation, TextStream out);
 
 // Why there is no evidence, in one line, not escaped; empty if there is.
 std::string NoEvidenceText(const v1::ExplainResponse& recorded);

@@ -106,7 +106,7 @@ void AddRows(const v1::StandingFinding& standing, Table& table) {
 
 }  // namespace
 
-void PrintFinding(const Explanation& explanation, std::ostream& out) {
+void PrintFinding(const Explanation& explanation, TextStream out) {
   if (!explanation.recorded.has_finding()) return;
   const v1::Finding& finding = explanation.recorded.finding();
   out << "\nFinding: " << EscapeText(finding.kind())
@@ -117,8 +117,8 @@ void PrintFinding(const Explanation& explanation, std::ostream& out) {
 }
 
 void PrintFindingsNow(absl::string_view robot,
-                      const absl::StatusOr<v1::GetCoverageResponse>& findings, std::ostream& out) {
-  const std::string list = absl::StrCat("ripsctl robot coverage ", EscapeText(robot));
+                      const absl::StatusOr<v1::GetCoverageResponse>& findings, TextStream out) {
+  const std::string list = absl::StrCat("ripsctl robot coverage ", ShellWord(robot));
   if (const std::string reason = NoAnswer(findings); !reason.empty()) {
     out << "\nFindings: not known: " << EscapeText(reason) << "\n  try: " << list << "\n";
     return;

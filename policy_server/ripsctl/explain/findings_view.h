@@ -3,21 +3,20 @@
 #ifndef RIPS_POLICY_SERVER_RIPSCTL_EXPLAIN_FINDINGS_VIEW_H_
 #define RIPS_POLICY_SERVER_RIPSCTL_EXPLAIN_FINDINGS_VIEW_H_
 
-#include <ostream>
-
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "policy_server/ripsctl/explain/explain_text.h"
 #include "rips/v1/operator.pb.h"
 
 namespace rips::ripsctl {
 
 // Whether the finding that was recorded still stands; nothing if it was none.
-void PrintFinding(const Explanation& explanation, std::ostream& out);
+void PrintFinding(const Explanation& explanation, TextStream out);
 // What stands of the robot now, in brief.
 void PrintFindingsNow(absl::string_view robot,
-                      const absl::StatusOr<v1::GetCoverageResponse>& findings, std::ostream& out);
+                      const absl::StatusOr<v1::GetCoverageResponse>& findings, TextStream out);
 
 // {"kind","guid","node","topic","state","since","ended","not_known_because":[..]}; null if it was
 // none.

@@ -2,7 +2,6 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <ostream>
 #include <string>
 
 #include "absl/strings/ascii.h"

@@ -3,7 +3,6 @@
 #include <algorithm>
 #include <nlohmann/json.hpp>
 #include <optional>
-#include <ostream>
 #include <string>
 #include <utility>
 #include <vector>
@@ -203,8 +202,8 @@ class ChangeLevel : public RobotCommand {
     env.out << robot_ << " stays at " << EscapeText(response.decided_level())
             << " until a second operator approves the lowering, before "
             << ShortTime(response.approval_expires_unix_ns()) << ", with\n  ripsctl level approve "
-            << robot_ << " " << ShortId(response.pending_approval_id()) << " --reason TEXT --wait"
-            << (request_.accept_blind() ? " --accept-blind" : "") << "\n"
+            << robot_ << " " << ShellWord(ShortId(response.pending_approval_id()))
+            << " --reason TEXT --wait" << (request_.accept_blind() ? " --accept-blind" : "") << "\n"
             << "it must be asked for again if the level, the ROS graph or the rules change "
                "before that, or the server restarts\n";
     PrintWarnings(response, env.out);
@@ -317,7 +316,7 @@ class LowerLevel final : public ChangeLevel {
 
   // On the error stream when the output is for programs.
   void Show(Env& env, const v1::GetLevelResponse& seen) {
-    std::ostream& out = env.json() ? env.err : env.out;
+    TextStream out = env.json() ? env.err : env.out;
     out << robot_ << " is at " << EscapeText(seen.status().decided_level()) << " ("
         << DecisionIdText(seen.status().decision_id()) << ")";
     if (seen.has_last()) {

@@ -23,7 +23,7 @@ class ReferenceCommand : public Command {
   // The tree is not whole yet.
   void AddFlags(CLI::App& app) override { app_ = &app; }
   absl::StatusOr<ExitCode> Run(Env& env) override {
-    env.out << Text(DescribeCommands(*app_));
+    env.out.Raw(Text(DescribeCommands(*app_)));
     return ExitCode::kDone;
   }
 

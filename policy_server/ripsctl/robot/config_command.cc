@@ -75,7 +75,7 @@ class ShowConfiguration final : public Command {
   }
 
  private:
-  void Print(const v1::Configuration& configuration, std::ostream& out) const {
+  void Print(const v1::Configuration& configuration, TextStream out) const {
     Table table({"SETTING", "VALUE", "FROM"});
     size_t defaults = 0;
     for (const v1::Setting& each : configuration.settings()) {

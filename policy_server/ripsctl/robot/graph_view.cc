@@ -120,7 +120,7 @@ std::vector<std::string> Row(std::vector<std::string> front, const v1::Participa
   return front;
 }
 
-void PrintNodes(const GraphView& view, std::ostream& out) {
+void PrintNodes(const GraphView& view, TextStream out) {
   Table nodes({"NODE", "ADDRESS", "HOST", "PID", "SERVICES"});
   for (const auto& [name, node] : view.nodes) {
     std::vector<const v1::Participant*> processes = node.processes;
@@ -134,7 +134,7 @@ void PrintNodes(const GraphView& view, std::ostream& out) {
   nodes.Print(out);
 }
 
-void PrintTopics(const GraphView& view, std::ostream& out) {
+void PrintTopics(const GraphView& view, TextStream out) {
   Table topics({"TOPIC", "TYPES", "PUBLISHERS", "SUBSCRIBERS"});
   for (const auto& [name, topic] : view.topics) {
     topics.Add({name, absl::StrJoin(topic.types, ", "), absl::StrJoin(topic.publishers, ", "),
@@ -143,7 +143,7 @@ void PrintTopics(const GraphView& view, std::ostream& out) {
   topics.Print(out);
 }
 
-void PrintUnattributed(const GraphView& view, std::ostream& out) {
+void PrintUnattributed(const GraphView& view, TextStream out) {
   Table others({"WITHOUT A NODE", "KIND", "ADDRESS", "HOST", "PID", "GUID"});
   size_t shown = 0;
   for (const Unattributed& each : view.unattributed) {
@@ -192,7 +192,7 @@ Json GraphJson(const v1::GraphSnapshot& graph) {
   return json;
 }
 
-void PrintGraph(const v1::GraphSnapshot& graph, std::ostream& out) {
+void PrintGraph(const v1::GraphSnapshot& graph, TextStream out) {
   const GraphView view = MakeView(graph);
   out << "\n";
   PrintNodes(view, out);

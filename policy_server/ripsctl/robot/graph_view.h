@@ -4,8 +4,8 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_ROBOT_GRAPH_VIEW_H_
 
 #include <nlohmann/json_fwd.hpp>
-#include <ostream>
 
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "rips/v1/observation.pb.h"
 
 namespace rips::ripsctl {
@@ -20,7 +20,7 @@ nlohmann::ordered_json GraphJson(const v1::GraphSnapshot& graph);
 
 // The same as tables. Of the topic by which ROS 2 processes say which nodes are theirs it gives
 // only the count: each of them has its two endpoints, without a node.
-void PrintGraph(const v1::GraphSnapshot& graph, std::ostream& out);
+void PrintGraph(const v1::GraphSnapshot& graph, TextStream out);
 
 }  // namespace rips::ripsctl
 

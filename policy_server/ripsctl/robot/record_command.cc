@@ -49,7 +49,7 @@ class Record final : public RobotCommand {
     const bool in_time =
         ended.error_code() == grpc::StatusCode::DEADLINE_EXCEEDED && file_.begun() && limited;
     if (!in_time) RIPS_RETURN_IF_ERROR(rpc::FromGrpc(ended));
-    RIPS_RETURN_IF_ERROR(file_.Sync());
+    RIPS_RETURN_IF_ERROR(FileError(file_.Finish()));
     if (env.json()) {
       return PrintJson(env,
                        {{"robot", robot_}, {"file", file_.path()}, {"events", file_.events()}});

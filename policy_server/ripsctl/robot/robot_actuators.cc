@@ -66,7 +66,7 @@ Json StepJson(const v1::StepResult& step) {
 }
 
 // The end of what a program printed, each line behind `margin` and a bar.
-void PrintOutput(const std::string& output, absl::string_view margin, std::ostream& out) {
+void PrintOutput(const std::string& output, absl::string_view margin, TextStream out) {
   if (output.empty()) return;
   const std::vector<absl::string_view> lines =
       absl::StrSplit(absl::StripSuffix(output, "\n"), '\n');
@@ -122,7 +122,7 @@ class ListReceipts final : public RobotCommand {
             {"output", receipt.output_tail()},
             {"steps", JsonList(receipt.steps(), StepJson)}};
   }
-  static void PrintReceipt(const v1::ReceivedReceipt& each, std::ostream& out) {
+  static void PrintReceipt(const v1::ReceivedReceipt& each, TextStream out) {
     const v1::Receipt& receipt = each.receipt();
     std::vector<std::string> words = {ShortTime(each.unix_ns()), EscapeText(each.host()),
                                       EscapeText(each.command()), StageName(receipt.stage())};
@@ -146,7 +146,7 @@ class ListReceipts final : public RobotCommand {
     const bool drill = step.drilled() != v1::StepResult::DRILLED_UNSPECIFIED;
     return absl::StrFormat("%-7s", drill ? DrilledName(step.drilled()) : "ok");
   }
-  static void PrintSteps(const Steps& steps, std::ostream& out) {
+  static void PrintSteps(const Steps& steps, TextStream out) {
     size_t width = 0;
     for (const v1::StepResult& step : steps) {
       width = std::max(width, EscapeText(step.step()).size());
@@ -254,7 +254,7 @@ class DrillRobot final : public RobotCommand {
   }
 
   static void PrintText(const v1::DrillRobotResponse& response, const DrillSum& sum,
-                        std::ostream& out) {
+                        TextStream out) {
     Table table({"LEVEL", "HOST", "STEP", "DONE", "RESULT", "DETAIL"});
     for (const v1::ActuatorDrill& drill : response.drills()) {
       for (const v1::StepResult& step : drill.steps()) {
@@ -278,7 +278,7 @@ class DrillRobot final : public RobotCommand {
     PrintLastLine(sum, out);
   }
   // What failed programs printed.
-  static void PrintOutputs(const v1::DrillRobotResponse& response, std::ostream& out) {
+  static void PrintOutputs(const v1::DrillRobotResponse& response, TextStream out) {
     for (const v1::ActuatorDrill& drill : response.drills()) {
       for (const v1::StepResult& step : drill.steps()) {
         if (step.ok() || step.output_tail().empty()) continue;
@@ -289,7 +289,7 @@ class DrillRobot final : public RobotCommand {
       }
     }
   }
-  static void PrintLastLine(const DrillSum& sum, std::ostream& out) {
+  static void PrintLastLine(const DrillSum& sum, TextStream out) {
     out << sum.work << " of " << sum.steps << " steps work";
     if (!sum.failed.empty()) {
       out << "; " << sum.failed.size() << (sum.failed.size() == 1 ? " does not: " : " do not: ")

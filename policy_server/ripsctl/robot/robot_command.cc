@@ -71,7 +71,7 @@ class ListRobots final : public Command {
   }
 
  private:
-  static void PrintTable(const v1::ListRobotsResponse& response, std::ostream& out) {
+  static void PrintTable(const v1::ListRobotsResponse& response, TextStream out) {
     const std::string& version = response.server_version();
     bool other_version = false;
     Table table(
@@ -97,7 +97,7 @@ class ListRobots final : public Command {
   }
 
   // Robots on which findings stand, or may. Silent on an older server, which does not say.
-  static void PrintFindings(const v1::ListRobotsResponse& response, std::ostream& out) {
+  static void PrintFindings(const v1::ListRobotsResponse& response, TextStream out) {
     std::vector<std::string> standing;
     std::vector<std::string> not_known;
     for (const v1::RobotStatus& status : response.robots()) {

@@ -134,7 +134,7 @@ class ShowInterest final : public RobotCommand {
             {"payload_limits", JsonList(response.interest().payload_limits(), limit_json)},
             {"sensors", JsonList(response.sensors(), sensor_json)}};
   }
-  static void PrintText(const v1::GetInterestResponse& response, std::ostream& out) {
+  static void PrintText(const v1::GetInterestResponse& response, TextStream out) {
     Table rules({"DEPTH", "BYTES", "TOPIC", "TYPE", "WANTED BY"});
     for (int i = 0; i < response.interest().rules_size(); ++i) {
       const v1::InterestRule& rule = response.interest().rules(i);
@@ -241,7 +241,7 @@ class ShowCoverage final : public RobotCommand {
             {"findings_not_known_because", NotKnown(response)}};
   }
 
-  void PrintText(const v1::GetCoverageResponse& response, std::ostream& out) const {
+  void PrintText(const v1::GetCoverageResponse& response, TextStream out) const {
     for (const std::string& reason : response.blind()) {
       out << "BLIND: " << EscapeText(reason) << "\n";
     }
@@ -299,7 +299,7 @@ class ShowCoverage final : public RobotCommand {
                 ? "\nall is seen, and no finding stands\n"
                 : "\nNOT all is seen, or a finding stands or may stand: see above\n");
   }
-  void PrintEndpoints(const v1::GetCoverageResponse& response, std::ostream& out) const {
+  void PrintEndpoints(const v1::GetCoverageResponse& response, TextStream out) const {
     const Counts counts = Count(response);
     Table summary({"ENDPOINTS", "COUNT"});
     for (const Seen seen :

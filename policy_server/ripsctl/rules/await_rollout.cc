@@ -57,7 +57,7 @@ absl::StatusOr<v1::Rollout> AwaitRollout(Env& env, const v1::Rollout& begun) {
               << std::endl;
       printed = progress;
     }
-    if (now.state() != "running") return now;
+    if (now.state() != "running" || !env.out.ok()) return now;
     env.sleep(kPoll);
   }
 }

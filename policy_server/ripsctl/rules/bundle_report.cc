@@ -3,7 +3,6 @@
 #include <nlohmann/json.hpp>
 #include <string>
 
-#include "absl/strings/str_split.h"
 #include "policy_server/policy/lang/check/compile.h"
 #include "policy_server/ripsctl/cli/printer.h"
 
@@ -11,15 +10,14 @@ namespace rips::ripsctl {
 namespace {
 
 // `text` may have several lines.
-void PrintProblem(absl::string_view severity, absl::string_view text, std::ostream& out) {
-  out << severity << ": ";
-  for (const absl::string_view line : absl::StrSplit(text, '\n')) out << EscapeText(line) << "\n";
+void PrintProblem(absl::string_view severity, absl::string_view text, TextStream out) {
+  out << severity << ": " << Lines{text} << "\n";
 }
 
 }  // namespace
 
-void PrintBundleCheck(const bundle::BundleCheck& check, std::ostream& out) {
-  out << lang::RenderText(check.files, check.diagnostics);
+void PrintBundleCheck(const bundle::BundleCheck& check, TextStream out) {
+  out << Lines{lang::RenderText(check.files, check.diagnostics)};
   for (const std::string& text : check.problems) PrintProblem("error", text, out);
   for (const std::string& text : check.warnings) PrintProblem("warning", text, out);
 }

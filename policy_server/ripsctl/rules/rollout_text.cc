@@ -152,7 +152,7 @@ std::string RolloutLimits(const v1::Rollout& rollout) {
       rollout.roll_back_when_stopped() ? "; then its robots go back" : "");
 }
 
-void PrintStages(const v1::Rollout& rollout, std::ostream& out) {
+void PrintStages(const v1::Rollout& rollout, TextStream out) {
   Table stages({"STAGE", "STATE", "ROBOTS"});
   for (int i = 0; i < rollout.stages_size(); ++i) {
     stages.Add(
@@ -161,7 +161,7 @@ void PrintStages(const v1::Rollout& rollout, std::ostream& out) {
   stages.Print(out);
 }
 
-void PrintRollout(const v1::Rollout& rollout, int64_t now_unix_ns, std::ostream& out) {
+void PrintRollout(const v1::Rollout& rollout, int64_t now_unix_ns, TextStream out) {
   if (rollout.id().empty()) {
     out << "no bundle was rolled out yet\n";
     return;

@@ -3,13 +3,13 @@
 #define RIPS_POLICY_SERVER_RIPSCTL_RULES_ROLLOUT_TEXT_H_
 
 #include <cstddef>
-#include <ostream>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/strings/string_view.h"
 #include "policy_server/ripsctl/cli/json_view.h"
+#include "policy_server/ripsctl/cli/text_stream.h"
 #include "rips/v1/operator.pb.h"
 
 namespace rips::ripsctl {
@@ -37,9 +37,9 @@ std::string RolloutState(const v1::Rollout& rollout, int64_t now_unix_ns);
 // As RolloutState, but the same as long as nothing changes but the time: for a line per change.
 std::string RolloutProgress(const v1::Rollout& rollout);
 // All of it: what, by whom and why, its limits, its stages. Nothing if there was none.
-void PrintRollout(const v1::Rollout& rollout, int64_t now_unix_ns, std::ostream& out);
+void PrintRollout(const v1::Rollout& rollout, int64_t now_unix_ns, TextStream out);
 // The roll-out's stages.
-void PrintStages(const v1::Rollout& rollout, std::ostream& out);
+void PrintStages(const v1::Rollout& rollout, TextStream out);
 // `10min healthy for each stage; stops at more than 10 alerts a minute of one robot`.
 std::string RolloutLimits(const v1::Rollout& rollout);
 

@@ -72,7 +72,7 @@ Json ResponseJson(const v1::RolloutResponse& response, bool dry_run) {
           {"notes", JsonList(response.notes())}};
 }
 
-void PrintLeftOut(const v1::RolloutResponse& response, std::ostream& out) {
+void PrintLeftOut(const v1::RolloutResponse& response, TextStream out) {
   for (const std::string& text : response.left_out()) {
     out << "left out  " << EscapeText(text) << "\n";
   }

@@ -166,8 +166,8 @@ std::vector<Group> Grouped(const std::vector<Entry>& entries) {
   return out;
 }
 
-void PrintText(const std::vector<Entry>& entries, std::ostream& out) {
-  absl::string_view separator;
+void PrintText(const std::vector<Entry>& entries, TextStream out) {
+  const char* separator = "";
   for (const Group& group : Grouped(entries)) {
     out << separator << group.title << "\n";
     separator = "\n";
@@ -184,8 +184,8 @@ std::string MarkdownCell(absl::string_view text) {
   return absl::StrReplaceAll(text, {{"|", "\\|"}, {"\n", " "}});
 }
 
-void PrintMarkdown(const std::vector<Entry>& entries, std::ostream& out) {
-  absl::string_view separator;
+void PrintMarkdown(const std::vector<Entry>& entries, TextStream out) {
+  const char* separator = "";
   for (const Group& group : Grouped(entries)) {
     out << separator << "## " << group.title << "\n\n";
     separator = "\n";

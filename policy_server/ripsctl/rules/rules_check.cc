@@ -95,9 +95,9 @@ class CheckRulesCommand final : public Command {
         lang::Compile(*files, {.dialect = dialect_ == "rips" ? Dialect::kRips : Dialect::kPrototype,
                                .inspection_files = &checked});
     if (env.json()) {
-      env.out << lang::RenderJson(*files, result.diagnostics) << "\n";
+      PrintJson(Json::parse(lang::RenderJson(*files, result.diagnostics)), env.out);
     } else {
-      env.out << lang::RenderText(*files, result.diagnostics);
+      env.out << Lines{lang::RenderText(*files, result.diagnostics)};
     }
     if (!result.rules.has_value()) return ExitCode::kRefused;
     return Accepted(env, CountWarnings(result.diagnostics),

@@ -15,6 +15,7 @@
 #include "policy_server/ripsctl/cli/rewrite_file.h"
 #include "policy_server/ripsctl/commands.h"
 #include "policy_server/ripsctl/rules/rule_input.h"
+#include "services/base/status_macros.h"
 
 namespace rips::ripsctl {
 namespace {
@@ -48,16 +49,15 @@ class FmtRulesCommand final : public Command {
       const lang::FormatResult result = lang::Format(file);
       const bool changed = result.text.has_value() && *result.text != file.text;
       if (changed && write_) {
-        const absl::Status written = RewriteFile(file.path, *result.text);
-        if (!written.ok()) return UsageError(env, written.message());
+        RIPS_RETURN_IF_ERROR(FileError(RewriteFile(file.path, *result.text)));
       }
       if (!result.text.has_value() || (changed && check_)) code = ExitCode::kRefused;
       if (env.json()) {
         all.push_back(ToJson(file, result, changed, prints));
       } else if (!result.text.has_value()) {
-        env.err << lang::RenderText({file}, result.diagnostics);
+        env.err << Lines{lang::RenderText({file}, result.diagnostics)};
       } else if (prints) {
-        env.out << *result.text;
+        env.out.Raw(*result.text);
       } else if (changed) {
         env.out << EscapeText(file.path) << "\n";
       }

@@ -104,7 +104,7 @@ class PushRulesCommand final : public Command {
                                 : pushed.signed_by()});
     table.Print(env.out);
     env.out << "it judges no robot yet; to roll it out: ripsctl rules activate "
-            << EscapeText(ShortBundle(pushed.id()))
+            << ShellWord(ShortBundle(pushed.id()))
             << " --all --stage 10% --stage 100% --reason TEXT\n";
   }
 

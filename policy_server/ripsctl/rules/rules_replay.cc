@@ -69,7 +69,7 @@ std::vector<std::string> Row(const replay::Noted& note, bool timed) {
 
 template <typename Record>
 void PrintTable(absl::string_view title, std::vector<std::string> header,
-                const std::vector<Record>& records, bool timed, std::ostream& out) {
+                const std::vector<Record>& records, bool timed, TextStream out) {
   if (records.empty()) return;
   out << "\n" << title << "\n";
   Table table(std::move(header));
@@ -82,7 +82,7 @@ const std::vector<std::string> kChangeHeader = {"EVENT", "FROM", "TO", "RESULT",
 const std::vector<std::string> kExecHeader = {"EVENT", "RESULT", "RULE", "COMMAND"};
 const std::vector<std::string> kNoteHeader = {"EVENT", "RULE", "TEXT"};
 
-void PrintHits(const Result& result, bool profile, std::ostream& out) {
+void PrintHits(const Result& result, bool profile, TextStream out) {
   std::vector<replay::RuleHits> rules = result.rules;
   std::stable_sort(rules.begin(), rules.end(),
                    [](const auto& a, const auto& b) { return a.fired > b.fired; });
@@ -113,7 +113,7 @@ std::string SomeRules(const Result& result, uint64_t replay::RuleHits::*count) {
 }
 
 // What the recording or the robot did not tell. Nothing, if all was told.
-void PrintNotTold(const Result& result, const RuleSet& rules, std::ostream& out) {
+void PrintNotTold(const Result& result, const RuleSet& rules, TextStream out) {
   const replay::EventCounts& events = result.events;
   if (events.undecidable > 0) {
     out << "undecidable: at " << events.undecidable << " events a rule asked what the recording "
@@ -149,7 +149,7 @@ void PrintNotTold(const Result& result, const RuleSet& rules, std::ostream& out)
   }
 }
 
-void PrintResult(const Result& result, const RuleSet& rules, bool profile, std::ostream& out) {
+void PrintResult(const Result& result, const RuleSet& rules, bool profile, TextStream out) {
   const replay::EventCounts& events = result.events;
   out << "events: " << events.message << " messages, " << events.graph << " graph changes, "
       << events.external << " external\nlevel at the end: " << EscapeText(result.level) << "\n";
@@ -177,12 +177,12 @@ void PrintResult(const Result& result, const RuleSet& rules, bool profile, std::
 
 template <typename Record>
 void PrintBoth(const std::string& title, const std::vector<std::string>& header,
-               const replay::OnlyOne<Record>& only, bool timed, std::ostream& out) {
+               const replay::OnlyOne<Record>& only, bool timed, TextStream out) {
   PrintTable(absl::StrCat(title, " of --rules only"), header, only.before, timed, out);
   PrintTable(absl::StrCat(title, " of --against only"), header, only.after, timed, out);
 }
 
-void PrintVariables(const replay::Difference& difference, std::ostream& out) {
+void PrintVariables(const replay::Difference& difference, TextStream out) {
   if (difference.variables_before.empty() && difference.variables_after.empty()) return;
   std::set<std::string> names;
   for (const auto* values : {&difference.variables_before, &difference.variables_after}) {
@@ -201,7 +201,7 @@ void PrintVariables(const replay::Difference& difference, std::ostream& out) {
   table.Print(out);
 }
 
-void PrintDifference(const replay::Difference& difference, bool timed, std::ostream& out) {
+void PrintDifference(const replay::Difference& difference, bool timed, TextStream out) {
   if (difference.left_out) {
     out << "\nagainst: lists were cut; what was left out of them is not compared";
   }
@@ -234,7 +234,7 @@ std::optional<replay::Moment> CameAgain(const recording::RecordedAlert& recorded
 }
 
 void PrintRecorded(const std::vector<recording::RecordedAlert>& recorded, const Result& result,
-                   std::ostream& out) {
+                   TextStream out) {
   if (recorded.empty()) return;
   out << "\nAlerts that it was recorded with\n";
   Table table({"ID", "RULE", "IN THIS REPLAY", "TEXT"});
@@ -367,9 +367,9 @@ class ReplayRulesCommand final : public Command {
   // As `rules check`.
   static ExitCode Refused(Env& env, const RuleSet& set) {
     if (env.json()) {
-      env.out << lang::RenderJson(set.files, set.diagnostics) << "\n";
+      PrintJson(Json::parse(lang::RenderJson(set.files, set.diagnostics)), env.out);
     } else {
-      env.out << lang::RenderText(set.files, set.diagnostics);
+      env.out << Lines{lang::RenderText(set.files, set.diagnostics)};
     }
     return ExitCode::kRefused;
   }

@@ -71,7 +71,7 @@ class ShadowRulesCommand final : public Command {
       env.out << "note      " << EscapeText(text) << "\n";
     }
     if (end_ || response.changed().empty()) return;
-    env.out << "what it would do  ripsctl rules status " << EscapeText(response.changed(0)) << "\n"
+    env.out << "what it would do  ripsctl rules status " << ShellWord(response.changed(0)) << "\n"
             << "end it            ripsctl rules shadow --end " << robots_.ToFlags()
             << " --reason TEXT\n";
   }

@@ -76,7 +76,7 @@ class SignRulesCommand final : public Command {
     }
     const std::string path = absl::StrCat(dir_, "/", bundle::kSignatureName);
     const absl::Status written = WriteFileAtomically(path, *signature, kSignatureMode);
-    if (!written.ok()) return UsageError(env, written.message());
+    RIPS_RETURN_IF_ERROR(FileError(written));
     Print(env, check, *signature, path);
     return ExitCode::kDone;
   }

@@ -114,7 +114,7 @@ std::string ShadowText(const v1::RobotRules& rules) {
 }
 
 // The table of robots, what there is to say of one below it; those with a problem first.
-void PrintRobots(const v1::GetRulesStatusResponse& response, std::ostream& out) {
+void PrintRobots(const v1::GetRulesStatusResponse& response, TextStream out) {
   std::vector<const v1::RobotRules*> robots;
   for (const v1::RobotRules& rules : response.robots()) robots.push_back(&rules);
   std::stable_partition(robots.begin(), robots.end(), [&](const v1::RobotRules* rules) {
@@ -141,7 +141,7 @@ void PrintRobots(const v1::GetRulesStatusResponse& response, std::ostream& out) 
 }
 
 // What the shadow would have done beside what was done, then its rules and examples.
-void PrintShadow(const v1::ShadowReport& shadow, std::ostream& out) {
+void PrintShadow(const v1::ShadowReport& shadow, TextStream out) {
   Table about({"shadow", EscapeText(absl::StrCat(shadow.bundle_id(), " `", shadow.name(), "`"))});
   about.Add({"by", shadow.operator_()});
   about.Add({"reason", shadow.reason()});
@@ -179,7 +179,7 @@ void PrintShadow(const v1::ShadowReport& shadow, std::ostream& out) {
 
 // All there is to say of one robot.
 void PrintRobot(const v1::RobotRules& rules, const v1::GetRulesStatusResponse& response,
-                std::ostream& out) {
+                TextStream out) {
   Table table({"robot", EscapeText(rules.robot())});
   table.Add({"policy", rules.name()});
   table.Add({"in use", rules.bundle_in_use()});

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <filesystem>
 #include <nlohmann/json.hpp>
+#include <sstream>
 #include <string>
 #include <system_error>
 #include <utility>
@@ -17,7 +18,6 @@
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
-#include "absl/strings/str_split.h"
 #include "policy_server/policy/replay/rule_set.h"
 #include "policy_server/policy/replay/rule_test_file.h"
 #include "policy_server/policy/replay/rule_test_runner.h"
@@ -56,7 +56,7 @@ std::string Escaped(const std::vector<std::string>& lines, absl::string_view ind
   return out;
 }
 
-void PrintText(const std::vector<Tested>& all, std::ostream& out) {
+void PrintText(const std::vector<Tested>& all, TextStream out) {
   size_t tests = 0;
   size_t failed = 0;
   size_t refused = 0;
@@ -64,7 +64,7 @@ void PrintText(const std::vector<Tested>& all, std::ostream& out) {
     const std::string path = EscapeText(one.file.path);
     if (one.refused()) {
       ++refused;
-      out << lang::RenderText(one.rules.files, one.rules.diagnostics) << path
+      out << Lines{lang::RenderText(one.rules.files, one.rules.diagnostics)} << path
           << ": not run: its rules were refused\n";
       continue;
     }
@@ -72,8 +72,8 @@ void PrintText(const std::vector<Tested>& all, std::ostream& out) {
       for (const TestFailure& failure : test.failures) {
         out << path << ":" << failure.line << ": " << EscapeText(test.name) << ": "
             << EscapeText(failure.what) << "\n  expected:\n"
-            << Escaped(failure.expected, "    ") << "  got:\n"
-            << Escaped(failure.got, "    ");
+            << Lines{Escaped(failure.expected, "    ")} << "  got:\n"
+            << Lines{Escaped(failure.got, "    ")};
         if (!failure.note.empty()) out << "  note: " << EscapeText(failure.note) << "\n";
       }
       if (test.unscanned.empty()) continue;
@@ -122,7 +122,7 @@ Json TestedToJson(const Tested& one) {
   return out;
 }
 
-void PrintAllJson(const std::vector<Tested>& all, std::ostream& out) {
+void PrintAllJson(const std::vector<Tested>& all, TextStream out) {
   size_t tests = 0;
   size_t failed = 0;
   Json files = Json::array();
@@ -160,7 +160,8 @@ std::string Xml(absl::string_view text) {
 
 std::string XmlLine(absl::string_view text) { return Xml(EscapeText(text)); }
 
-void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
+std::string JunitText(const std::vector<Tested>& all) {
+  std::ostringstream out;
   out << "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites>\n";
   for (const Tested& one : all) {
     const std::string suite = XmlLine(one.file.path);
@@ -193,6 +194,7 @@ void PrintJunit(const std::vector<Tested>& all, std::ostream& out) {
     out << "  </testsuite>\n";
   }
   out << "</testsuites>\n";
+  return out.str();
 }
 
 // `pattern` is a part of `name`; if it holds `*` (any text) or `?` (one byte), all of it. In time
@@ -281,7 +283,7 @@ class TestRulesCommand final : public Command {
     }
     if (!problems.empty()) return Unusable(env, problems);
     if (env.output == Output::kJunit) {
-      PrintJunit(all, env.out);
+      env.out.Raw(JunitText(all));
     } else if (env.json()) {
       PrintAllJson(all, env.out);
     } else {
@@ -325,9 +327,7 @@ class TestRulesCommand final : public Command {
   // Messages may have several lines.
   static ExitCode Unusable(Env& env, const std::vector<std::string>& problems) {
     for (const std::string& problem : problems) {
-      env.err << "error: ";
-      for (absl::string_view line : absl::StrSplit(problem, '\n'))
-        env.err << EscapeText(line) << "\n";
+      env.err << "error: " << Lines{problem} << "\n";
     }
     return ExitCode::kUsage;
   }

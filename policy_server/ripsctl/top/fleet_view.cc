@@ -71,9 +71,15 @@ void FleetView::Lost(absl::string_view why, absl::Time now) {
   lost_at_ = now;
 }
 
-void FleetView::Update(v1::RobotStatus status) {
+bool FleetView::Update(v1::RobotStatus status) {
+  const size_t bytes = status.ByteSizeLong();
+  const auto before = robots_.find(status.robot());
+  const size_t without = bytes_ - (before == robots_.end() ? 0 : before->second.bytes);
+  if (without + bytes > bytes_max_) return false;
+  bytes_ = without + bytes;
   const std::string id = status.robot();
-  robots_[id] = {std::move(status), connection_};
+  robots_[id] = {std::move(status), connection_, bytes};
+  return true;
 }
 
 void FleetView::SetLevels(const std::string& bundle, std::vector<std::string> levels) {

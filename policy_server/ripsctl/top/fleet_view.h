@@ -30,15 +30,20 @@ struct ScreenLine {
 // One thread at a time.
 class FleetView {
  public:
+  // Of all statuses as messages: a server must not fill the memory.
+  static constexpr size_t kBytesMax = 256 << 20;
+
   // `server` as the operator names it.
-  explicit FleetView(std::string server) : server_(std::move(server)) {}
+  explicit FleetView(std::string server, size_t bytes_max = kBytesMax)
+      : server_(std::move(server)), bytes_max_(bytes_max) {}
 
   // A stream of statuses delivers: the first one, or one after a loss. Robots count as stale until
   // their status comes on it.
   void Connected();
   // From `now` on all is stale.
   void Lost(absl::string_view why, absl::Time now);
-  void Update(v1::RobotStatus status);
+  // False, and not kept: with it the statuses would have more bytes than the limit.
+  bool Update(v1::RobotStatus status);
   // The levels of a bundle, least restrictive first.
   void SetLevels(const std::string& bundle, std::vector<std::string> levels);
   bool HasLevels(const std::string& bundle) const { return ranks_.contains(bundle); }
@@ -54,6 +59,7 @@ class FleetView {
   struct Robot {
     v1::RobotStatus status;
     int connection = 0;  // on which its status came
+    size_t bytes = 0;
   };
   struct Urgency;
 
@@ -70,7 +76,9 @@ class FleetView {
   std::vector<std::string> CellsOf(const Robot& robot) const;
 
   const std::string server_;
+  const size_t bytes_max_;
   std::map<std::string, Robot> robots_;
+  size_t bytes_ = 0;
   // By bundle, the place of each of its levels; 0 is the least restrictive one.
   std::map<std::string, std::map<std::string, size_t>> ranks_;
   int connection_ = 0;  // 0: there was none yet

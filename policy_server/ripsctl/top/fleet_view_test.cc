@@ -204,5 +204,15 @@ TEST(ScreenBytesTest, ReplaceWhatWasThere) {
   EXPECT_EQ(ScreenBytes({}), "\x1b[H\x1b[J");
 }
 
+TEST_F(FleetViewTest, AServerCannotFillTheMemory) {
+  const size_t bytes = MakeStatus("r1", "ALERT").ByteSizeLong();
+  FleetView view("ps", 2 * bytes);
+  view.Connected();
+  for (int i = 0; i < 3; ++i) EXPECT_TRUE(view.Update(MakeStatus("r1", "ALERT")));
+  EXPECT_TRUE(view.Update(MakeStatus("r2", "ALERT")));
+  EXPECT_FALSE(view.Update(MakeStatus("r3", "ALERT")));
+  EXPECT_TRUE(view.Update(MakeStatus("r2", "HALT"))) << "which is shorter";
+}
+
 }  // namespace
 }  // namespace rips::ripsctl

@@ -15,6 +15,11 @@ namespace {
 // The order of levels is worth no long wait: statuses come in behind it.
 constexpr absl::Duration kLevelsTimeout = absl::Seconds(2);
 constexpr absl::Duration kLevelsRetry = absl::Seconds(5);
+// What a server that means well does not exceed: bundles in force at a time, and of each its id and
+// its levels.
+constexpr size_t kBundlesMax = 1'000;
+constexpr size_t kBundleBytesMax = 256;
+constexpr size_t kLevelsBytesMax = 64 << 10;
 
 std::string ServerName(const RawSettings& settings) {
   if (settings.context.empty()) return settings.server;
@@ -87,37 +92,43 @@ grpc::Status FleetWatch::WatchOnce(bool again, const std::function<void()>& hear
   ServerExpiry expiry(&context);
   v1::RobotStatus status;
   bool first = true;
-  while (reader->Read(&status)) {
+  bool kept = true;
+  while (kept && reader->Read(&status)) {
     heard();
     expiry.Received();
     if (std::exchange(first, false)) {
       MutexLock lock(&mu_);
       view_.Connected();
     }
-    Received(status);
+    kept = Received(status);
+    if (!kept) context.TryCancel();
   }
   const grpc::Status end = expiry.End(reader->Finish());
   End(&context);
-  return end;
+  if (kept) return end;
+  return {grpc::StatusCode::OUT_OF_RANGE,
+          absl::StrCat("the server sent robots of more than ", FleetView::kBytesMax >> 20, " MiB")};
 }
 
-void FleetWatch::Received(const v1::RobotStatus& status) {
+bool FleetWatch::Received(const v1::RobotStatus& status) {
   {
     MutexLock lock(&mu_);
-    view_.Update(status);
+    if (!view_.Update(status)) return false;
     changed_.Wake();
   }
   LearnLevels(status);
+  return true;
 }
 
 void FleetWatch::LearnLevels(const v1::RobotStatus& status) {
   const std::string& bundle = status.bundle_version();
-  if (bundle.empty()) return;
+  if (bundle.empty() || bundle.size() > kBundleBytesMax) return;
   {
     MutexLock lock(&mu_);
     if (stopped_ || view_.HasLevels(bundle)) return;
   }
   const absl::Time now = absl::Now();
+  if (ask_levels_at_.size() >= kBundlesMax && !ask_levels_at_.contains(bundle)) return;
   absl::Time& at = ask_levels_at_.try_emplace(bundle, absl::InfinitePast()).first->second;
   if (now < at) return;
   at = now + kLevelsRetry;
@@ -129,11 +140,13 @@ void FleetWatch::LearnLevels(const v1::RobotStatus& status) {
   if (!Begin(&context)) return;
   const bool answered = env_->server->GetLevel(&context, request, &response).ok();
   End(&context);
-  if (!answered) return;
+  if (!answered || response.ByteSizeLong() > kLevelsBytesMax) return;
   // The robot may have got another bundle meanwhile.
+  const std::string& now_bundle = response.status().bundle_version();
+  if (now_bundle.size() > kBundleBytesMax) return;
+  ask_levels_at_.try_emplace(now_bundle, now + kLevelsRetry);  // so that it is counted
   MutexLock lock(&mu_);
-  view_.SetLevels(response.status().bundle_version(),
-                  {response.levels().begin(), response.levels().end()});
+  view_.SetLevels(now_bundle, {response.levels().begin(), response.levels().end()});
   changed_.Wake();
 }
 

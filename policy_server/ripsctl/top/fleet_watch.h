@@ -45,7 +45,8 @@ class FleetWatch {
   // A call that the destructor cancels begins, and ends. False if the watch is to end.
   bool Begin(grpc::ClientContext* context) ABSL_LOCKS_EXCLUDED(mu_);
   void End(grpc::ClientContext* context) ABSL_LOCKS_EXCLUDED(mu_);
-  void Received(const v1::RobotStatus& status) ABSL_LOCKS_EXCLUDED(mu_);
+  // False if it is too much.
+  bool Received(const v1::RobotStatus& status) ABSL_LOCKS_EXCLUDED(mu_);
   void LearnLevels(const v1::RobotStatus& status) ABSL_LOCKS_EXCLUDED(mu_);
   // False if the watch is to end.
   bool Pause(absl::Duration duration) ABSL_LOCKS_EXCLUDED(mu_);
