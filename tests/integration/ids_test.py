@@ -5,6 +5,7 @@
 
 import json
 import os
+import pathlib
 import re
 import shutil
 import signal
@@ -162,14 +163,18 @@ def truncated_logs(fleet):
         counted(4)
         check(not texts(fleet, "lost"), f"losses: {texts(fleet, 'lost')}")
 
-        os.kill(fleet.sensor.child.pid, signal.SIGSTOP)  # a host that is busy with something else
+        pid = fleet.sensor.child.pid
+        os.kill(pid, signal.SIGSTOP)  # a host that is busy with something else
+        wait_for("all threads stand still", lambda: all(
+            ") T " in stat.read_text()
+            for stat in pathlib.Path(f"/proc/{pid}/task").glob("*/stat")))
         write("RIPS count, never read")
         shutil.copy(log, elsewhere)
         os.truncate(log, 0)
         write("RIPS count 5")
-        os.kill(fleet.sensor.child.pid, signal.SIGCONT)
+        os.kill(pid, signal.SIGCONT)
         counted(5)
-        wait_for("the loss", lambda: texts(fleet, "lost"), 5)
+        wait_for("the loss", lambda: texts(fleet, "lost"), 10)
         check(metric("gaps") == 1, f"{metric('gaps')} gaps")
         check(metric("truncated") == 4, f"{metric('truncated')} truncations")
         check(len(texts(fleet, "each")) == 5, texts(fleet, "each"))
