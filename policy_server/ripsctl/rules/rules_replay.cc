@@ -298,10 +298,9 @@ class ReplayRulesCommand final : public Command {
     app.add_option("--rules", rules_,
                    "Rule files, compiled as one policy in this order, or the directory of a bundle")
         ->required();
-    app.add_option("--events", events_,
-                   "Recording: a file of `ripsctl record`, a rosbag2 bag or file, or YAML of the "
-                   "prototype; "
-                   "of one that is cut, what is whole")
+    app.add_option(
+           "--events", events_,
+           "Recording: a file of `ripsctl record`, a rosbag2 bag or file, or YAML of the prototype")
         ->required();
     app.add_option("--against", against_,
                    "Other rule files, or another bundle; show how their results differ");
