@@ -48,9 +48,11 @@ IdsFeed::Log::Log(IdsLog log, std::optional<LogPosition> from, LogTailLimits lim
                                        "Lines of an IDS log that make no sense", labels);
   too_long = metrics->AddCounter("rips_sensor_ids_too_long_total",
                                  "Lines of an IDS log longer than the limit", labels);
-  gaps =
-      metrics->AddCounter("rips_sensor_ids_gaps_total",
-                          "Times that part of an IDS log was deleted before it was read", labels);
+  gaps = metrics->AddCounter("rips_sensor_ids_gaps_total",
+                             "Times that part of an IDS log may have been lost before it was read",
+                             labels);
+  truncated = metrics->AddCounter("rips_sensor_ids_truncated_total",
+                                  "Times that an IDS log was truncated, read or not", labels);
   open = metrics->AddGauge("rips_sensor_ids_open", "1 while an IDS log is there and is followed",
                            labels);
 }
@@ -157,11 +159,15 @@ void IdsFeed::LookAt(Log& log, int64_t now_ns) {
   log.too_long.Increment(static_cast<double>(now.too_long - before.too_long));
   log.not_understood.Increment(static_cast<double>(now.cut_off - before.cut_off));
   log.gaps.Increment(static_cast<double>(now.gaps - before.gaps));
+  log.truncated.Increment(static_cast<double>(now.truncated - before.truncated));
   Lose(LossCause::kLimit, now.too_long - before.too_long, now_ns);
   Lose(LossCause::kUndecodable, now.cut_off - before.cut_off, now_ns);
   Lose(LossCause::kLimit, now.gaps - before.gaps, now_ns);
   if (now.gaps > before.gaps) {
-    LogError("part of an IDS log was deleted before it was read", {{"log", log.what.path}});
+    LogError(
+        "an IDS log was truncated or deleted, perhaps before it was read; how many alerts are "
+        "lost is not known",
+        {{"log", log.what.path}});
   }
   before = now;
   const absl::Status& status = log.tail.status();

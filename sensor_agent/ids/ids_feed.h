@@ -122,6 +122,7 @@ class IdsFeed {
     Counter not_understood;
     Counter too_long;
     Counter gaps;
+    Counter truncated;
     Gauge open;
     LogTailCounters counted;
     // 0 = it is being followed.

@@ -481,6 +481,28 @@ TEST_F(IdsFeedTest, AGapIsALoss) {
   EXPECT_THAT(server_->taken, ElementsAre(2));
 }
 
+TEST_F(IdsFeedTest, ATruncationIsALossOnlyIfSomethingWasUnread) {
+  Begin();
+  Pass();
+  Append(Line(1));
+  Pass();
+  fs::resize_file(path_, 0);
+  Append(Line(2));
+  Pass();
+  EXPECT_EQ(server_->lost(LossCause::kLimit), 0);
+  Append(Line(3));  // unread
+  fs::resize_file(path_, 0);
+  Append(Line(4));
+  Pass();
+  EXPECT_EQ(server_->lost(LossCause::kLimit), 1);
+  EXPECT_THAT(server_->taken, ElementsAre(1, 2, 4));
+  const std::string of_log = absl::StrCat("{log=\"", path_, "\"} ");
+  EXPECT_THAT(
+      metrics_->Text(),
+      testing::AllOf(HasSubstr(absl::StrCat("rips_sensor_ids_gaps_total", of_log, 1)),
+                     HasSubstr(absl::StrCat("rips_sensor_ids_truncated_total", of_log, 2))));
+}
+
 TEST_F(IdsFeedTest, TheThreadReadsAsItComes) {
   const RealClock clock;
   Metrics metrics;

@@ -23,6 +23,9 @@ namespace {
 constexpr size_t kChunkBytes = 64 * 1024;
 // Files whose reading has ended that are remembered, should they come back.
 constexpr size_t kFinishedMax = 64;
+// So many of a file's first bytes must be the same for it to be what is left of the file. Every
+// line begins with its time.
+constexpr size_t kSameHeadBytes = 32;
 // How long a file that was replaced is read for what comes late.
 constexpr int64_t kFormerNs = 5 * kNanosPerSecond;
 constexpr uint32_t kDirectoryEvents = IN_CREATE | IN_MOVED_FROM | IN_MOVED_TO | IN_DELETE |
@@ -60,6 +63,12 @@ LogTail::LogTail(std::string path, std::optional<LogPosition> from, LogTailLimit
       inotify_(limits.events ? inotify_init1(IN_NONBLOCK | IN_CLOEXEC) : -1) {}
 
 // --- Opening
+
+uint64_t LogTail::File::Size() const {
+  struct stat status;
+  if (fstat(fd.get(), &status) != 0 || status.st_size < 0) return 0;
+  return static_cast<uint64_t>(status.st_size);
+}
 
 absl::StatusOr<LogTail::File> LogTail::Open(const std::string& path) {
   File file;
@@ -197,6 +206,7 @@ void LogTail::Begin() {
   TakeEvents();
   if (file.ok() && !IsAtPath(*file)) return;
   begun_ = true;
+  unseen_ = false;
   if (from_.has_value()) {
     file = GoOn(std::move(file));
   } else if (file.ok()) {
@@ -226,6 +236,7 @@ bool LogTail::OpenFirst() {
   }
   if (!file.ok()) return false;
   file_ = *std::move(file);
+  unseen_ = false;
   WatchFile();
   return true;
 }
@@ -238,7 +249,10 @@ void LogTail::Watch() {
 }
 
 void LogTail::WatchFile() {
+  head_.clear();
+  changes_.Stop();
   if (inotify_.get() < 0) return;
+  changes_.Watch(file_->fd.get());
   // The file that is open, whatever its name is by now.
   const std::string opened = absl::StrCat("/proc/self/fd/", file_->fd.get());
   const int watch = inotify_add_watch(inotify_.get(), opened.c_str(), IN_MODIFY);
@@ -266,6 +280,11 @@ void LogTail::TakeEvents() {
         continue;
       }
       const std::string name = event->len > 0 ? std::string(event->name) : "";
+      if (name == name_) {
+        // Gone before it was looked at. One that is renamed away is found by its new name.
+        if (begun_ && unseen_ && (event->mask & (IN_DELETE | IN_MOVED_TO)) != 0) ++counters_.gaps;
+        unseen_ = (event->mask & (IN_CREATE | IN_MOVED_TO)) != 0;
+      }
       if ((event->mask & IN_MOVED_FROM) != 0) moving[event->cookie] = name;
       if ((event->mask & IN_MOVED_TO) == 0) continue;
       const auto from = moving.find(event->cookie);
@@ -298,7 +317,7 @@ void LogTail::Enqueue(const std::string& name) {
   if (file_.has_value() && is_it(*file_)) return;
   if (former_.has_value() && is_it(*former_)) return;
   if (std::any_of(rotated_.begin(), rotated_.end(), is_it)) return;
-  if (rotated_.size() >= limits_.rotated_files && !IsEmpty(rotated_.front())) {
+  if (rotated_.size() >= limits_.rotated_files && rotated_.front().Size() > 0) {
     ++counters_.gaps;
     return;
   }
@@ -306,21 +325,48 @@ void LogTail::Enqueue(const std::string& name) {
   rotated_.push_back(*std::move(file));
 }
 
-bool LogTail::IsEmpty(const File& file) {
-  struct stat status;
-  return fstat(file.fd.get(), &status) != 0 || status.st_size == 0;
-}
-
 // --- Reading
 
+bool LogTail::GoToRemainder(File& file) {
+  const uint64_t size = file.Size();
+  if (head_.size() < kSameHeadBytes || size < kSameHeadBytes || size >= file.ReadTo()) return false;
+  std::string head(static_cast<size_t>(std::min<uint64_t>(size, head_.size())), '\0');
+  const ssize_t got = ReadAt(file.fd.get(), head.data(), head.size(), 0);
+  if (got != static_cast<ssize_t>(head.size()) || !absl::StartsWith(head_, head)) return false;
+  SeekEnd(file);
+  return true;
+}
+
+void LogTail::RememberHead() {
+  const uint64_t read_to = file_->ReadTo();
+  const auto size = static_cast<size_t>(std::min<uint64_t>(read_to, kFingerprintBytes));
+  if (head_.size() >= size) return;
+  head_.resize(size);
+  const ssize_t got = ReadAt(file_->fd.get(), head_.data(), size, 0);
+  if (got != static_cast<ssize_t>(size) || file_->Size() < read_to) head_.clear();
+}
+
 void LogTail::StartOver(File& file) {
-  std::optional<File> copy;
-  if (file_.has_value() && &file == &*file_) copy = FindCopy(PositionIn(file));
+  ++counters_.truncated;
+  std::optional<File> copy = FindCopy(PositionIn(file));
+  const uint64_t read_to = file.ReadTo();
+  const bool unfinished = file.buffer.size() > file.begin;
+  const bool remainder = GoToRemainder(file);
+  // One that ends where we were is of an earlier time, or there was nothing more.
+  const bool more = copy.has_value() && copy->Size() > read_to;
+  // What stands there now came by a write of its own. Its length first: it may grow.
+  const bool written = !remainder && file.Size() > 0;
+  changes_.Look();
+  const std::optional<uint64_t>& changes = changes_.changes();
+  if (!more && (!changes.has_value() || *changes > (written ? 2 : 1))) ++counters_.gaps;
   if (copy.has_value()) {
     SetFormer(*std::move(copy));
-  } else if (file.buffer.size() > file.begin) {
+  } else if (unfinished || (remainder && file.skipping)) {
     ++counters_.cut_off;
   }
+  changes_.Forget();
+  head_.clear();
+  if (remainder) return;
   file.buffer.clear();
   file.begin = file.scanned = 0;
   file.offset = 0;
@@ -369,7 +415,7 @@ bool LogTail::ReadFile(File& file, const OnLine& on_line, size_t& budget) {
   while (budget > 0) {
     // The last bytes again: if they are others now, so is the file.
     const size_t known = std::min(file.buffer.size(), kFingerprintBytes);
-    const uint64_t read_to = file.offset + (file.buffer.size() - file.begin);
+    const uint64_t read_to = file.ReadTo();
     chunk.resize(known + std::min(budget, kChunkBytes));
     const ssize_t got = ReadAt(file.fd.get(), chunk.data(), chunk.size(), read_to - known);
     if (got < 0) {
@@ -448,9 +494,12 @@ bool LogTail::Follow() {
     status_ = opened.status();
   }
   // After the opening: what was renamed away before it is in `rotated_` now, and comes first.
+  const bool looked = status_.ok();
   TakeEvents();
+  if (looked) unseen_ = false;
   // A writer that was not told of the renaming goes on in ours, and leaves the others empty.
-  const auto written = std::find_if_not(rotated_.begin(), rotated_.end(), IsEmpty);
+  const auto written = std::find_if(rotated_.begin(), rotated_.end(),
+                                    [](const File& each) { return each.Size() > 0; });
   if (written != rotated_.end()) {
     next = std::move(*written);
     rotated_.erase(rotated_.begin(), written + 1);
@@ -473,6 +522,7 @@ bool LogTail::Read(int64_t now_ns, const OnLine& on_line) {
   if (!begun_) return false;
   if (!file_.has_value() && !OpenFirst()) return false;
   status_ = absl::OkStatus();
+  changes_.Look();
   size_t budget = limits_.turn_bytes;
   // What was written to it before the first byte of the next one comes before that.
   if (former_.has_value()) {
@@ -480,6 +530,11 @@ bool LogTail::Read(int64_t now_ns, const OnLine& on_line) {
     if (now_ns_ >= former_until_ns_) DropFormer();
   }
   if (ReadFile(*file_, on_line, budget)) return true;
+  // Written and truncated again, with nothing of it read.
+  const bool untouched = file_->offset == 0 && file_->buffer.empty();
+  if (untouched && changes_.changes().value_or(0) > 1 && file_->Size() == 0) ++counters_.gaps;
+  if (status_.ok()) changes_.WasReadToEnd();
+  RememberHead();
   return Follow();
 }
 

@@ -6,6 +6,9 @@
 // | renamed several times between looks   | each in turn, unless it is gone by then (a gap)       |
 // | unlinked                              | the unlinked one, until there is a new one            |
 // | copied and truncated                  | the rest of the copy beside it, then again from 0     |
+// | truncated, and no copy is beside it   | from 0; a gap, unless nothing can have been unread    |
+// | truncated to a part of what was read  | on from its new end; a gap likewise                   |
+// | deleted and made again between looks  | the last one; a gap for each between                  |
 // | renamed back                          | on from where it was read to                          |
 // | replaced by a copy of itself          | on from the same offset                               |
 // | replaced by something else            | from 0                                                |
@@ -15,6 +18,11 @@
 // A new file counts from its first byte on: until then the writer has not come over, and the old
 // one goes on. Afterwards the old one is still read for a few seconds. A truncation shows even if
 // the file has grown again: the bytes before the place read up to are others then.
+//
+// Nothing can have been unread at a truncation if the file had been read to its end and has changed
+// but once since (change_counter.h), or twice if something stands in it again: the truncation, and
+// the write after it. That holds for a rotation of a log that is being followed; it is a gap if the
+// log is written at the very moment, if this process did not run, or if the kernel gives no events.
 //
 // Not thread-safe.
 #ifndef RIPS_SENSOR_AGENT_IDS_LOG_TAIL_H_
@@ -32,6 +40,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "sensor_agent/ids/change_counter.h"
 #include "sensor_agent/ids/log_position.h"
 #include "services/runtime/unique_fd.h"
 
@@ -55,6 +64,8 @@ struct LogTailCounters {
   uint64_t cut_off = 0;
   // Times that something may have been written which was not read and cannot be any more.
   uint64_t gaps = 0;
+  // Times that a file was truncated, whether or not something was lost.
+  uint64_t truncated = 0;
 };
 
 class LogTail {
@@ -98,10 +109,14 @@ class LogTail {
     uint64_t offset = 0;
     // In a line that is not given: too long, or begun before we were there.
     bool skipping = false;
+
+    // 0 also if that is not known.
+    uint64_t Size() const;
+    // In the file, behind what was read.
+    uint64_t ReadTo() const { return offset + (buffer.size() - begin); }
   };
 
   static absl::StatusOr<File> Open(const std::string& path);
-  static bool IsEmpty(const File& file);
   // Takes `file` to `offset` if what is before that has this fingerprint.
   static bool Seek(File& file, uint64_t offset, uint64_t fingerprint);
   // `back` bytes before what was read.
@@ -135,8 +150,12 @@ class LogTail {
   // Reads up to the end of the file; true if the turn ended first.
   bool ReadFile(File& file, const OnLine& on_line, size_t& budget);
   void Lines(File& file, const OnLine& on_line);
-  // The file begins anew; what it had is read from its copy, if there is one.
+  // The file was truncated: begins anew, or at its end if that was read before; what it had is read
+  // from its copy, if there is one.
   void StartOver(File& file);
+  // The file is a part of what was read of it; goes to its end.
+  bool GoToRemainder(File& file);
+  void RememberHead();
   // At the end of file_: goes over to what took its place. True if it did.
   bool Follow();
   void DropFormer();
@@ -158,6 +177,12 @@ class LogTail {
   int directory_watch_ = -1;
   int file_watch_ = -1;
   std::optional<File> file_;
+  // Of file_.
+  ChangeCounter changes_;
+  // The first bytes of file_, as far as they were read, at most kFingerprintBytes.
+  std::string head_;
+  // By the events so far a file is at the path that has not been looked at.
+  bool unseen_ = false;
   // Of the line being given, if it is of file_; else 0.
   size_t line_bytes_ = 0;
   std::deque<File> rotated_;

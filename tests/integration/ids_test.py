@@ -5,6 +5,8 @@
 
 import json
 import os
+import pathlib
+import re
 import shutil
 import signal
 import subprocess
@@ -128,6 +130,56 @@ def alerts_are_judged_once(fleet):
     check(fleet.sensor.kill(signal.SIGTERM) == 0, "the sensor does not end well")
 
 
+def truncated_logs(fleet):
+    """A nightly rotation whose copy goes elsewhere is no loss; alerts that were not read when the log
+    was truncated are."""
+    log = fleet.dir / "ids/fast.log"
+    log.parent.mkdir()
+    log.write_text("")
+    elsewhere = fleet.dir / "copy.log"
+    use_rules(fleet)
+    follow(fleet, "fast", log)
+    fleet.arm()
+    wait_for("the sensor has begun", (fleet.dir / "sensor/ids-offsets").exists)
+    with open(log, "a", encoding="utf-8") as ids:
+        def write(message):
+            ids.write(fast_line(5, message))
+            ids.flush()
+
+        def counted(count):
+            wait_for(f"{count} alerts", lambda: len(texts(fleet, "each")) >= count)
+
+        def metric(name):
+            counted = re.findall(rf"^rips_sensor_ids_{name}_total\{{.*\}} (\d+)",
+                                 fleet_test.page(fleet.sensor, "metrics"), re.MULTILINE)
+            return int(counted[0])
+
+        for night in range(1, 4):
+            write(f"RIPS count {night}")
+            counted(night)
+            shutil.copy(log, elsewhere)
+            os.truncate(log, 0)
+        write("RIPS count 4")
+        counted(4)
+        check(not texts(fleet, "lost"), f"losses: {texts(fleet, 'lost')}")
+
+        pid = fleet.sensor.child.pid
+        os.kill(pid, signal.SIGSTOP)  # a host that is busy with something else
+        wait_for("all threads stand still", lambda: all(
+            ") T " in stat.read_text()
+            for stat in pathlib.Path(f"/proc/{pid}/task").glob("*/stat")))
+        write("RIPS count, never read")
+        shutil.copy(log, elsewhere)
+        os.truncate(log, 0)
+        write("RIPS count 5")
+        os.kill(pid, signal.SIGCONT)
+        counted(5)
+        wait_for("the loss", lambda: texts(fleet, "lost"), 10)
+        check(metric("gaps") == 1, f"{metric('gaps')} gaps")
+        check(metric("truncated") == 4, f"{metric('truncated')} truncations")
+        check(len(texts(fleet, "each")) == 5, texts(fleet, "each"))
+
+
 SURICATA = """%YAML 1.1
 ---
 vars:
@@ -236,7 +288,7 @@ def suricata_sees_live_traffic(fleet):
         suricata.kill(seconds=30)
 
 
-fleet_test.SCENARIOS = [alerts_are_judged_once, suricata_sees_live_traffic]
+fleet_test.SCENARIOS = [alerts_are_judged_once, truncated_logs, suricata_sees_live_traffic]
 
 if __name__ == "__main__":
     sys.exit(fleet_test.main())

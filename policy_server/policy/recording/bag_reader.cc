@@ -1,7 +1,6 @@
 #include "policy_server/policy/recording/bag_reader.h"
 
 #include <sqlite3.h>
-#include <sys/stat.h>
 
 #include <algorithm>
 #include <cstdint>
@@ -13,6 +12,8 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/types/span.h"
+#include "policy_server/policy/recording/bag_copy.h"
+#include "policy_server/policy/recording/decompress.h"
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 
@@ -26,8 +27,6 @@ constexpr uint64_t kStepsPerByte = 32;
 constexpr int kStepsPerCall = 1'000;
 // Bytes of a row beside the payload.
 constexpr size_t kRowBytes = 64 * 1024;
-// First bytes of a Zstandard frame, which begin no CDR payload.
-constexpr absl::string_view kZstdMagic("\x28\xb5\x2f\xfd", 4);
 
 struct CloseDatabase {
   void operator()(sqlite3* database) const { sqlite3_close_v2(database); }
@@ -37,7 +36,7 @@ struct Finalize {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, Finalize>;
 
-// `path` as an SQLite URI.
+// `path` as an SQLite URI, without parameters.
 std::string UriOf(const std::string& path) {
   std::string uri = "file:";
   for (const char c : path) {
@@ -50,7 +49,7 @@ std::string UriOf(const std::string& path) {
       uri.append({'%', kDigits[byte >> 4], kDigits[byte & 15]});
     }
   }
-  return absl::StrCat(uri, "?mode=ro&immutable=1");
+  return uri;
 }
 
 std::string TextAt(sqlite3_stmt* row, int column) {
@@ -62,10 +61,10 @@ std::string TextAt(sqlite3_stmt* row, int column) {
 
 class BagReader final : public Reader {
  public:
-  BagReader(std::string path, uint64_t bytes)
-      : path_(std::move(path)), bytes_(bytes), steps_left_(kStepsBase + kStepsPerByte * bytes) {}
+  explicit BagReader(std::string path) : path_(std::move(path)) {}
 
-  absl::Status Start();
+  // `bytes` is the length of the file.
+  absl::Status Open(uint64_t bytes);
   bool has_graph() const override { return false; }
 
  private:
@@ -76,12 +75,14 @@ class BagReader final : public Reader {
 
   absl::StatusOr<std::optional<Recorded>> Read() override;
 
-  absl::Status Connect();
-  // SQLite takes what is missing from the last page for zeros.
-  absl::Status CheckLength();
+  absl::Status Start(uint64_t bytes);
+  absl::Status Connect(const BagCopy& copy);
   absl::Status CheckTable(absl::string_view table, absl::Span<const char* const> columns);
   absl::Status ReadTopics();
   absl::Status AddTopic(sqlite3_stmt* row);
+  // The table cannot be read to its end: makes `order_` give the rows that can.
+  absl::Status OrderReadable(const absl::Status& why);
+  absl::StatusOr<std::optional<Recorded>> ReadRow();
   // Of the message `id`, which must have that timestamp in the table too.
   absl::StatusOr<std::string> ReadPayload(int64_t id, int64_t timestamp);
 
@@ -97,12 +98,13 @@ class BagReader final : public Reader {
   }
 
   const std::string path_;
-  const uint64_t bytes_;
-  uint64_t steps_left_;
+  uint64_t steps_left_ = kStepsBase;
   std::unique_ptr<sqlite3, CloseDatabase> database_;
   Statement order_;
   Statement payload_;
   absl::flat_hash_map<int64_t, Topic> topics_;
+  // What comes after the last row: OK = the end, else what the file lacks.
+  absl::Status end_;
   // Time and id of the message before.
   std::optional<std::pair<int64_t, int64_t>> last_;
 };
@@ -130,19 +132,13 @@ absl::Status BagReader::FromSqlite(int code) {
   return Damaged(absl::StrCat("sqlite: ", text));
 }
 
-absl::Status BagReader::Connect() {
-  for (const absl::string_view suffix : {"-wal", "-journal"}) {
-    struct stat info {};
-    const std::string beside = absl::StrCat(path_, suffix);
-    if (stat(beside.c_str(), &info) == 0 && info.st_size > 0) {
-      return Error(absl::StatusCode::kFailedPrecondition,
-                   absl::StrCat("`", beside, "` holds what is not yet in the file; open and close ",
-                                "the bag once with sqlite3"));
-    }
-  }
+absl::Status BagReader::Connect(const BagCopy& copy) {
   sqlite3* raw = nullptr;
-  const int code = sqlite3_open_v2(UriOf(path_).c_str(), &raw,
-                                   SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX |
+  const std::string uri =
+      absl::StrCat(UriOf(copy.path()), copy.is_copy() ? "?mode=rw" : "?mode=ro&immutable=1");
+  const int code = sqlite3_open_v2(uri.c_str(), &raw,
+                                   (copy.is_copy() ? SQLITE_OPEN_READWRITE : SQLITE_OPEN_READONLY) |
+                                       SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX |
                                        SQLITE_OPEN_EXRESCODE | SQLITE_OPEN_PRIVATECACHE,
                                    nullptr);
   database_.reset(raw);
@@ -151,6 +147,7 @@ absl::Status BagReader::Connect() {
   sqlite3_limit(raw, SQLITE_LIMIT_LENGTH, static_cast<int>(kMessageBytesMax + kRowBytes));
   sqlite3_db_config(raw, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_db_config(raw, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
+  sqlite3_db_config(raw, SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, 1, nullptr);
   // Without it, a cell that a damaged page has at its end is read from the memory behind the page.
   if (const int checks =
           sqlite3_exec(raw, "PRAGMA cell_size_check = ON", nullptr, nullptr, nullptr);
@@ -183,18 +180,6 @@ absl::StatusOr<bool> BagReader::Step(const Statement& statement) {
   if (code == SQLITE_ROW) return true;
   if (code == SQLITE_DONE) return false;
   return FromSqlite(code);
-}
-
-absl::Status BagReader::CheckLength() {
-  RIPS_ASSIGN_OR_RETURN(const Statement pages,
-                        Prepare("SELECT page_size, page_count FROM pragma_page_size, "
-                                "pragma_page_count"));
-  RIPS_ASSIGN_OR_RETURN(const bool row, Step(pages));
-  const auto needed = row ? static_cast<uint64_t>(sqlite3_column_int64(pages.get(), 0)) *
-                                static_cast<uint64_t>(sqlite3_column_int64(pages.get(), 1))
-                          : 0;
-  if (row && needed <= bytes_) return absl::OkStatus();
-  return Damaged(absl::StrCat("the file is cut: ", bytes_, " bytes of ", needed));
 }
 
 // A plain table, whose columns are what is stored: a view or a computed column would make us run
@@ -270,9 +255,17 @@ absl::Status BagReader::ReadTopics() {
   }
 }
 
-absl::Status BagReader::Start() {
-  RIPS_RETURN_IF_ERROR(Connect());
-  RIPS_RETURN_IF_ERROR(CheckLength());
+absl::Status BagReader::Open(uint64_t bytes) {
+  const absl::Status started = Start(bytes);
+  return absl::IsDataLoss(started) && !end_.ok() ? end_ : started;
+}
+
+absl::Status BagReader::Start(uint64_t bytes) {
+  const absl::StatusOr<std::unique_ptr<BagCopy>> copy = BagCopy::Make(path_, bytes);
+  if (!copy.ok()) return Error(copy.status().code(), copy.status().message());
+  if (!(*copy)->end().ok()) end_ = Damaged((*copy)->end().message());
+  steps_left_ += kStepsPerByte * (*copy)->bytes();
+  RIPS_RETURN_IF_ERROR(Connect(**copy));
   constexpr const char* kTopics[] = {"id", "name", "type", "serialization_format"};
   constexpr const char* kMessages[] = {"id", "topic_id", "timestamp", "data"};
   RIPS_RETURN_IF_ERROR(CheckTable("topics", kTopics));
@@ -305,12 +298,50 @@ absl::StatusOr<std::string> BagReader::ReadPayload(int64_t id, int64_t timestamp
   }
   if (absl::StartsWith(payload, kZstdMagic)) {
     return Error(absl::StatusCode::kInvalidArgument,
-                 absl::StrCat("message ", id, " is compressed; decompress the bag first"));
+                 absl::StrCat("message ", id, " ", kCompressedMessage));
   }
   return payload;
 }
 
+absl::Status BagReader::OrderReadable(const absl::Status& why) {
+  // Not one that walks in circles.
+  if (steps_left_ < kStepsPerCall) return why;
+  // A page is checked when it is read, and one that has failed would pass the next time.
+  order_.reset();
+  sqlite3_db_release_memory(database_.get());
+  RIPS_ASSIGN_OR_RETURN(const Statement rows,
+                        Prepare("SELECT id, topic_id, timestamp FROM messages "
+                                "NOT INDEXED ORDER BY id"));
+  uint64_t readable = 0;
+  while (true) {
+    const absl::StatusOr<bool> row = Step(rows);
+    if (!row.ok() || !*row) break;
+    ++readable;
+  }
+  if (readable == 0) return why;
+  // The row after the last of them is not touched.
+  RIPS_ASSIGN_OR_RETURN(
+      order_, Prepare(absl::StrCat("SELECT id, topic_id, timestamp FROM (SELECT id, topic_id, "
+                                   "timestamp FROM messages NOT INDEXED ORDER BY id LIMIT ",
+                                   readable, ") ORDER BY timestamp, id")));
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::optional<Recorded>> BagReader::Read() {
+  absl::StatusOr<std::optional<Recorded>> event = ReadRow();
+  // Sorting reads all rows before the first is given.
+  if (absl::IsDataLoss(event.status()) && !last_) {
+    if (end_.ok()) end_ = event.status();
+    RIPS_RETURN_IF_ERROR(OrderReadable(end_));
+    event = ReadRow();
+  }
+  // That the file is cut says more than what was found broken by that.
+  if (end_.ok() || (event.ok() && event->has_value())) return event;
+  if (!event.ok() && !absl::IsDataLoss(event.status())) return event;
+  return end_;
+}
+
+absl::StatusOr<std::optional<Recorded>> BagReader::ReadRow() {
   RIPS_ASSIGN_OR_RETURN(const bool row, Step(order_));
   if (!row) return std::nullopt;
   for (const int column : {0, 1, 2}) {
@@ -341,8 +372,8 @@ absl::StatusOr<std::optional<Recorded>> BagReader::Read() {
 }  // namespace
 
 absl::StatusOr<std::unique_ptr<Reader>> OpenBagFile(const std::string& path, uint64_t bytes) {
-  auto reader = std::make_unique<BagReader>(path, bytes);
-  RIPS_RETURN_IF_ERROR(reader->Start());
+  auto reader = std::make_unique<BagReader>(path);
+  RIPS_RETURN_IF_ERROR(reader->Open(bytes));
   return reader;
 }
 

@@ -5,6 +5,10 @@
 // Messages come by timestamp, then id; the timestamp is their time. The file is opened read-only
 // and as immutable: nothing is locked, and nothing is written beside it.
 //
+// A file that was not closed or was cut is read as a copy (bag_copy.h). Of one that is damaged, or
+// whose copy is, the rows come that precede the damage in the order of their ids, as far as their
+// data is there; then DataLoss.
+//
 // Memory: one message, one row a topic, and SQLite's page cache. Without the index on timestamps
 // that rosbag2 makes, SQLite sorts ids and timestamps, in temporary files if they are many.
 //
@@ -30,8 +34,8 @@ inline constexpr absl::string_view kSqliteMagic("SQLite format 3\0", 16);
 inline constexpr size_t kBagTopicsMax = 65'536;
 
 // InvalidArgument also: a topic whose serialization format is not `cdr`, tables that are views or
-// have computed columns. FailedPrecondition: a write-ahead log or journal lies beside it, so the
-// file alone is not all of the bag. `bytes` is the length of the file.
+// have computed columns. ResourceExhausted also: no room for a copy. `bytes` is the length of the
+// file.
 absl::StatusOr<std::unique_ptr<Reader>> OpenBagFile(const std::string& path, uint64_t bytes);
 
 }  // namespace rips::recording

@@ -22,6 +22,9 @@ constexpr int kZstdWindowLogMax = 28;
 class Output {
  public:
   Output(size_t size, std::string* out) : limit_(size + kSpareBytes), out_(*out) { out_.clear(); }
+  ~Output() { out_.resize(std::min(used_, limit_ - kSpareBytes)); }
+  Output(const Output&) = delete;
+  Output& operator=(const Output&) = delete;
 
   // Where the decoder may write; at least one byte.
   char* free() { return out_.data() + used_; }
@@ -36,12 +39,9 @@ class Output {
   }
   void Take(size_t bytes) { used_ += bytes; }
 
-  absl::Status Finish() {
+  absl::Status Finish() const {
     const size_t announced = limit_ - kSpareBytes;
-    if (used_ == announced) {
-      out_.resize(used_);
-      return absl::OkStatus();
-    }
+    if (used_ == announced) return absl::OkStatus();
     return absl::DataLossError(absl::StrCat(used_ > announced ? "more" : "less", " than the ",
                                             announced, " bytes it announces come out"));
   }
@@ -104,11 +104,9 @@ absl::Status DecompressLz4(absl::string_view bytes, Output& out) {
 absl::Status Decompress(absl::string_view format, absl::string_view bytes, size_t size,
                         std::string* out) {
   if (format.empty()) {
-    if (bytes.size() != size) {
-      return absl::DataLossError(absl::StrCat(bytes.size(), " bytes, ", size, " announced"));
-    }
-    out->assign(bytes.data(), bytes.size());
-    return absl::OkStatus();
+    out->assign(bytes.data(), std::min(bytes.size(), size));
+    if (bytes.size() == size) return absl::OkStatus();
+    return absl::DataLossError(absl::StrCat(bytes.size(), " bytes, ", size, " announced"));
   }
   Output output(size, out);
   if (format == "zstd") {

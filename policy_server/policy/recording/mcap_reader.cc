@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "absl/container/flat_hash_map.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "policy_server/policy/recording/decompress.h"
@@ -54,6 +55,7 @@ class McapChannels {
   absl::Status AddChannel(absl::string_view content);
 
   // DataLoss: cut, unknown channel, a time beyond int64. ResourceExhausted: a large payload.
+  // InvalidArgument: a compressed one.
   absl::StatusOr<McapMessage> Parse(absl::string_view content) const;
   // `message` was parsed by this.
   Recorded Resolve(const McapMessage& message) const;
@@ -71,6 +73,11 @@ class McapChannels {
   absl::flat_hash_map<uint16_t, std::string> schemas_;
   absl::flat_hash_map<uint16_t, Channel> channels_;
 };
+
+absl::Status CutWithin(absl::string_view what, uint64_t bytes, uint64_t left) {
+  return absl::DataLossError(absl::StrCat("the file is cut within ", what, " of ", bytes,
+                                          " bytes, of which ", left, " are left"));
+}
 
 absl::Status CheckName(absl::string_view what, absl::string_view name) {
   if (name.size() <= kNameBytesMax) return absl::OkStatus();
@@ -143,6 +150,9 @@ absl::StatusOr<McapMessage> McapChannels::Parse(absl::string_view content) const
     return absl::ResourceExhaustedError(absl::StrCat(
         "message of ", message.payload.size(), " bytes exceeds the limit of ", kMessageBytesMax));
   }
+  if (absl::StartsWith(message.payload, kZstdMagic)) {
+    return absl::InvalidArgumentError(absl::StrCat("a message ", kCompressedMessage));
+  }
   message.log_time_ns = static_cast<int64_t>(log_time);
   return message;
 }
@@ -156,6 +166,68 @@ Recorded McapChannels::Resolve(const McapMessage& message) const {
                                   .size_bytes = static_cast<uint32_t>(message.payload.size())}};
 }
 
+// The messages of one chunk, in order of time. Not thread-safe.
+class McapChunk {
+ public:
+  // Finds the messages in `records`, and adds the definitions to `channels`. After an error (as of
+  // that, and DataLoss) it has those before it.
+  absl::Status Index(McapChannels& channels);
+  // The content of the next message; it is in `records`.
+  std::optional<absl::string_view> Next() {
+    if (next_ == places_.size()) return std::nullopt;
+    const Place& place = places_[next_++];
+    return absl::string_view(records).substr(place.offset, place.bytes);
+  }
+
+  // Not compressed.
+  std::string records;
+
+ private:
+  struct Place {
+    int64_t log_time_ns;
+    uint32_t offset;
+    uint32_t bytes;
+  };
+
+  absl::Status FindPlaces(McapChannels& channels);
+
+  std::vector<Place> places_;
+  size_t next_ = 0;
+};
+
+absl::Status McapChunk::Index(McapChannels& channels) {
+  places_.clear();
+  next_ = 0;
+  const absl::Status found = FindPlaces(channels);
+  std::stable_sort(places_.begin(), places_.end(), [](const Place& left, const Place& right) {
+    return left.log_time_ns < right.log_time_ns;
+  });
+  return found;
+}
+
+absl::Status McapChunk::FindPlaces(McapChannels& channels) {
+  Cursor cursor(records);
+  while (!cursor.rest().empty()) {
+    const McapOp op{cursor.U8()};
+    const absl::string_view content = cursor.Bytes(cursor.U64());
+    if (!cursor.ok()) return absl::DataLossError("a record is cut within its chunk");
+    if (op == McapOp::kSchema) {
+      RIPS_RETURN_IF_ERROR(channels.AddSchema(content));
+    } else if (op == McapOp::kChannel) {
+      RIPS_RETURN_IF_ERROR(channels.AddChannel(content));
+    } else if (op == McapOp::kMessage) {
+      RIPS_ASSIGN_OR_RETURN(const McapMessage message, channels.Parse(content));
+      places_.push_back({.log_time_ns = message.log_time_ns,
+                         .offset = static_cast<uint32_t>(content.data() - records.data()),
+                         .bytes = static_cast<uint32_t>(content.size())});
+    } else if (op <= McapOp::kChunk || op == McapOp::kDataEnd) {
+      return absl::DataLossError(
+          absl::StrCat("a record of kind ", static_cast<int>(op), " in a chunk"));
+    }
+  }
+  return absl::OkStatus();
+}
+
 class McapReader final : public Reader {
  public:
   explicit McapReader(std::unique_ptr<InputFile> file) : file_(std::move(file)) {}
@@ -167,13 +239,6 @@ class McapReader final : public Reader {
   // In the order they follow each other.
   enum class Section { kData, kSummary, kEnd };
 
-  // One message of the chunk, by its place in it.
-  struct Place {
-    int64_t log_time_ns;
-    uint32_t offset;
-    uint32_t bytes;
-  };
-
   absl::StatusOr<std::optional<Recorded>> Read() override;
   // One record; gives what it holds, if that is a message outside of chunks.
   absl::StatusOr<std::optional<Recorded>> ReadRecord();
@@ -181,7 +246,8 @@ class McapReader final : public Reader {
   absl::Status InSummary(McapOp op, uint64_t length);
 
   absl::Status TakeChunk();
-  absl::Status IndexChunk();
+  // The whole messages of a chunk of `length` bytes that the end of the file cuts; then cut_.
+  void TakeCutChunk(uint64_t length);
   absl::Status TakeDataEnd(uint64_t length, uint32_t crc_before);
   absl::Status TakeFooter(uint64_t length);
 
@@ -201,9 +267,9 @@ class McapReader final : public Reader {
   uint32_t data_crc_ = 0;
   uint64_t data_at_ = 0;
 
-  std::string chunk_;
-  std::vector<Place> places_;
-  size_t next_place_ = 0;
+  McapChunk chunk_;
+  // What comes after the messages of a cut chunk; OK = none was cut.
+  absl::Status cut_;
 };
 
 absl::Status McapReader::At(const absl::Status& status) const {
@@ -213,11 +279,7 @@ absl::Status McapReader::At(const absl::Status& status) const {
 }
 
 absl::Status McapReader::Take(uint64_t count, uint64_t limit, absl::string_view what) {
-  if (count > file_->remaining()) {
-    return At(
-        absl::DataLossError(absl::StrCat("the file is cut within ", what, " of ", count,
-                                         " bytes, of which ", file_->remaining(), " are left")));
-  }
+  if (count > file_->remaining()) return At(CutWithin(what, count, file_->remaining()));
   if (count > limit) {
     return At(absl::ResourceExhaustedError(
         absl::StrCat(what, " of ", count, " bytes exceeds the limit of ", limit)));
@@ -252,13 +314,12 @@ absl::Status McapReader::ReadHeader() {
 
 absl::StatusOr<std::optional<Recorded>> McapReader::Read() {
   while (true) {
-    if (next_place_ < places_.size()) {
-      const Place& place = places_[next_place_++];
-      const auto message =
-          channels_.Parse(absl::string_view(chunk_).substr(place.offset, place.bytes));
+    if (const auto next = chunk_.Next(); next.has_value()) {
+      const auto message = channels_.Parse(*next);
       if (!message.ok()) return At(message.status());
       return channels_.Resolve(*message);
     }
+    RIPS_RETURN_IF_ERROR(cut_);
     if (section_ == Section::kEnd) return std::nullopt;
     RIPS_ASSIGN_OR_RETURN(std::optional<Recorded> event, ReadRecord());
     if (event) return event;
@@ -268,7 +329,8 @@ absl::StatusOr<std::optional<Recorded>> McapReader::Read() {
 absl::StatusOr<std::optional<Recorded>> McapReader::ReadRecord() {
   record_at_ = file_->offset();
   if (file_->remaining() == 0) {
-    return At(absl::DataLossError("the file ends without a footer: it was cut"));
+    return At(absl::DataLossError(
+        "the file ends without a footer: it was cut, or is still being written"));
   }
   const uint32_t crc_before = data_crc_;
   RIPS_RETURN_IF_ERROR(Take(kMcapRecordHeaderBytes, kMcapRecordHeaderBytes, "a record"));
@@ -304,6 +366,10 @@ absl::StatusOr<std::optional<Recorded>> McapReader::InData(McapOp op, uint64_t l
       return channels_.Resolve(*message);
     }
     case McapOp::kChunk:
+      if (length > file_->remaining()) {
+        TakeCutChunk(length);
+        return std::nullopt;
+      }
       RIPS_RETURN_IF_ERROR(Take(length, kChunkBytesMax + kChunkHeaderBytesMax, "a chunk"));
       RIPS_RETURN_IF_ERROR(At(TakeChunk()));
       return std::nullopt;
@@ -340,47 +406,42 @@ absl::Status McapReader::TakeChunk() {
         absl::StrCat("chunk of ", std::max<uint64_t>(size, stored.size()),
                      " bytes exceeds the limit of ", kChunkBytesMax));
   }
-  const absl::Status status = Decompress(compression, stored, static_cast<size_t>(size), &chunk_);
+  const absl::Status status =
+      Decompress(compression, stored, static_cast<size_t>(size), &chunk_.records);
   if (!status.ok()) {
     return absl::Status(status.code(),
                         absl::StrCat("chunk compressed with `", ros2::Printable(compression),
                                      "`: ", status.message()));
   }
-  const uint32_t actual = crc == 0 ? 0 : Crc32(0, chunk_);
+  const uint32_t actual = crc == 0 ? 0 : Crc32(0, chunk_.records);
   if (actual != crc) {
     return absl::DataLossError(
         absl::StrFormat("the checksum of the chunk is %08x, its content has %08x", crc, actual));
   }
   content_ = std::string();  // the stored form, which may be large
-  return IndexChunk();
+  return chunk_.Index(channels_);
 }
 
-absl::Status McapReader::IndexChunk() {
-  places_.clear();
-  next_place_ = 0;
-  Cursor cursor(chunk_);
-  while (!cursor.rest().empty()) {
-    const McapOp op{cursor.U8()};
-    const absl::string_view content = cursor.Bytes(cursor.U64());
-    if (!cursor.ok()) return absl::DataLossError("a record is cut within its chunk");
-    if (op == McapOp::kSchema) {
-      RIPS_RETURN_IF_ERROR(channels_.AddSchema(content));
-    } else if (op == McapOp::kChannel) {
-      RIPS_RETURN_IF_ERROR(channels_.AddChannel(content));
-    } else if (op == McapOp::kMessage) {
-      RIPS_ASSIGN_OR_RETURN(const McapMessage message, channels_.Parse(content));
-      places_.push_back({.log_time_ns = message.log_time_ns,
-                         .offset = static_cast<uint32_t>(content.data() - chunk_.data()),
-                         .bytes = static_cast<uint32_t>(content.size())});
-    } else if (op <= McapOp::kChunk || op == McapOp::kDataEnd) {
-      return absl::DataLossError(
-          absl::StrCat("a record of kind ", static_cast<int>(op), " in a chunk"));
-    }
+void McapReader::TakeCutChunk(uint64_t length) {
+  const uint64_t left = file_->remaining();
+  cut_ = At(CutWithin("a chunk", length, left));
+  if (length > kChunkBytesMax + kChunkHeaderBytesMax) return;
+  if (const absl::Status read = Take(left, left, "a chunk"); !read.ok()) {
+    cut_ = read;
+    return;
   }
-  std::stable_sort(places_.begin(), places_.end(), [](const Place& left, const Place& right) {
-    return left.log_time_ns < right.log_time_ns;
-  });
-  return absl::OkStatus();
+  Cursor cursor(content_);
+  cursor.U64();  // first and last time
+  cursor.U64();
+  const uint64_t size = cursor.U64();
+  cursor.U32();  // checksum of all of it
+  const absl::string_view compression = cursor.Text();
+  cursor.U64();  // bytes stored
+  if (!cursor.ok() || size > kChunkBytesMax) return;
+  // Both end early, and give what is whole until then.
+  Decompress(compression, cursor.rest(), static_cast<size_t>(size), &chunk_.records).IgnoreError();
+  content_ = std::string();
+  chunk_.Index(channels_).IgnoreError();
 }
 
 absl::Status McapReader::TakeDataEnd(uint64_t length, uint32_t crc_before) {

@@ -9,7 +9,9 @@
 // end of the header: both are accepted.
 //
 // Memory: one chunk as stored and as decompressed, each at most kChunkBytesMax, and 16 bytes a
-// message of it. A file without footer was cut: it gives all whole chunks, then DataLoss.
+// message of it. A file without footer was cut, or is still being written: it gives all whole
+// chunks, the whole messages of the chunk that the end cuts (its checksum cannot be checked), then
+// DataLoss. After a chunk that is damaged nothing is given.
 #ifndef RIPS_POLICY_SERVER_POLICY_RECORDING_MCAP_READER_H_
 #define RIPS_POLICY_SERVER_POLICY_RECORDING_MCAP_READER_H_
 

@@ -20,6 +20,16 @@ namespace {
 
 constexpr size_t kMagicBytesMax = 16;
 
+struct Packing {
+  absl::string_view magic;
+  const char* tool;
+};
+constexpr Packing kPackings[] = {{{"\x28\xb5\x2f\xfd", 4}, "zstd"},
+                                 {{"\x1f\x8b", 2}, "gzip"},
+                                 {{"\x04\x22\x4d\x18", 4}, "lz4"},
+                                 {{"BZh", 3}, "bzip2"},
+                                 {{"\xfd\x37zXZ", 5}, "xz"}};
+
 bool Begins(absl::string_view bytes, absl::string_view magic) {
   return bytes.substr(0, magic.size()) == magic;
 }
@@ -49,6 +59,12 @@ absl::StatusOr<std::unique_ptr<Reader>> OpenFile(const std::string& path) {
   if (Begins(first, kSqliteMagic)) return OpenBagFile(path, file->size());
   if (Begins(first, kMcapMagic)) return OpenMcap(std::move(file));
   if (Begins(first, kRipsMagic)) return OpenRips(std::move(file));
+  for (const Packing& packing : kPackings) {
+    if (!Begins(first, packing.magic)) continue;
+    return absl::InvalidArgumentError(absl::StrCat(
+        "`", path, "` is compressed; decompress it, even if it is cut, and replay the ",
+        "result: ", packing.tool, " -dc FILE > RESULT"));
+  }
   return OpenYaml(std::move(file));
 }
 

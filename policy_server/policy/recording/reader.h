@@ -1,10 +1,14 @@
 // Recordings of robot traffic, for replay. What a file is, is decided by its first bytes:
 //
-//   directory with `metadata.yaml`   rosbag2 bag: the files it names, in order    bag_folder.h
+//   directory                        rosbag2 bag: the files that are there        bag_folder.h
 //   "SQLite format 3\0"              rosbag2 storage file (.db3)                  bag_reader.h
 //   MCAP magic                       MCAP                                         mcap_reader.h
 //   magic of FORMAT.md               our own                                      rips_reader.h
+//   magic of gzip, zstd, lz4, ...    refused, with the command that decompresses it
 //   anything else                    the prototype's YAML event stream            yaml_reader.h
+//
+// Of a recording that was cut (power failure, full disk) or damaged, a reader gives every whole
+// event before that place, then DataLoss that names the file and the byte.
 //
 // The same file gives the same events, always. Memory is bounded by the limits that each reader
 // states, not by the length of the recording. A file must not change while it is read.
@@ -31,7 +35,8 @@ class Reader {
  public:
   virtual ~Reader() = default;
 
-  // The next event; nullopt at the end, then and ever after. DataLoss: the file is cut or damaged.
+  // The next event; nullopt at the end, then and ever after. DataLoss: the file is cut or damaged,
+  // or a bag lacks a file; what was given before is right.
   // InvalidArgument: it holds what cannot be replayed. ResourceExhausted: past a limit.
   // Unavailable: it cannot be read. The message names the file, the place and what is wrong. After
   // an error every call gives that error.

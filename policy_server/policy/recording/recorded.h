@@ -79,6 +79,8 @@ struct Recorded {
   std::optional<engine::StandingFindings> findings = {};
   // Judged so late that it may not lower the level, nor run programs.
   bool late = false;
+  // What the recording lacks just before this event, and why; empty = nothing, as far as is known.
+  std::string missing_before = {};
 };
 
 // An alert that a recording was saved with.

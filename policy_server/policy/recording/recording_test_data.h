@@ -5,6 +5,7 @@
 #include <sqlite3.h>
 #include <stdlib.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
@@ -82,20 +83,23 @@ inline const RecordedMessage& MessageOf(const Recorded& event) {
   return std::get<RecordedMessage>(event.what);
 }
 
-// Cut after each of its bytes, `bytes` gives a prefix of its events and an error; without an error
-// only if `may_end(cut)`.
+// Cut after each of its bytes, or every `step`, `bytes` gives a prefix of its events, no more than
+// with a later cut, and an error; without an error only if `may_end(cut)`.
 template <typename MayEnd>
-void ExpectCutsAreSeen(absl::string_view bytes, const MayEnd& may_end) {
+void ExpectCutsAreSeen(absl::string_view bytes, const MayEnd& may_end, size_t step = 1) {
   const TempFolder folder;
   const std::string path = folder.Write("file", bytes);
   const Reading whole = ReadAll(path);
   ASSERT_THAT(whole.status, IsOk());
   const std::vector<std::string> events = Print(whole.events);
-  for (size_t cut = bytes.size(); cut-- > 0;) {
+  size_t later = events.size();
+  for (size_t cut = bytes.size(); cut >= step && cut > 0;) {
+    cut -= step;
     std::filesystem::resize_file(path, cut);
     const Reading part = ReadAll(path);
     const std::vector<std::string> got = Print(part.events);
-    ASSERT_LE(got.size(), events.size());
+    ASSERT_LE(got.size(), may_end(cut) ? events.size() : later) << "cut at " << cut;
+    later = std::min(later, got.size());
     ASSERT_TRUE(std::equal(got.begin(), got.end(), events.begin())) << "cut at " << cut;
     ASSERT_TRUE(!part.status.ok() || may_end(cut)) << "cut at " << cut;
   }

@@ -33,6 +33,28 @@ int64_t After(int64_t time_ns, int64_t by_ns) {
   return by_ns > kTimeNsMax - time_ns ? kTimeNsMax + 1 : time_ns + by_ns;
 }
 
+// What a recording lacks, by the events around it.
+class MissingParts {
+ public:
+  void OnEvent(const Recorded& event) {
+    last_ = {.event = event.index, .time_ns = event.time_unix_ns.value_or(0)};
+    if (!first_ns_.has_value()) first_ns_ = last_->time_ns;
+  }
+  void Note(absl::string_view what, bool end) {
+    list_.push_back({.after = last_,
+                     .after_ns = last_.has_value() ? last_->time_ns - *first_ns_ : 0,
+                     .end = end,
+                     .text = std::string(what)});
+  }
+  bool any_event() const { return last_.has_value(); }
+  std::vector<Missing> list() && { return std::move(list_); }
+
+ private:
+  std::optional<int64_t> first_ns_;
+  std::optional<Moment> last_;
+  std::vector<Missing> list_;
+};
+
 }  // namespace
 
 // The robot's answers.
@@ -377,10 +399,21 @@ absl::StatusOr<Result> Replay(recording::Reader& reader,
   }
   Replayer replayer(std::move(program), std::move(options), session);
   if (origin != nullptr) replayer.SetVariables(origin->variables);
+  MissingParts missing;
   while (true) {
-    RIPS_ASSIGN_OR_RETURN(const std::optional<Recorded> event, reader.Next());
-    if (!event.has_value()) return replayer.Finish();
-    RIPS_RETURN_IF_ERROR(replayer.Judge(*event));
+    const absl::StatusOr<std::optional<Recorded>> event = reader.Next();
+    const bool cut = absl::IsDataLoss(event.status()) && missing.any_event();
+    if (!cut) RIPS_RETURN_IF_ERROR(event.status());
+    if (cut) missing.Note(event.status().message(), /*end=*/true);
+    if (cut || !event->has_value()) {
+      Result result = replayer.Finish();
+      result.missing = std::move(missing).list();
+      return result;
+    }
+    const Recorded& next = **event;
+    if (!next.missing_before.empty()) missing.Note(next.missing_before, /*end=*/false);
+    missing.OnEvent(next);
+    RIPS_RETURN_IF_ERROR(replayer.Judge(next));
   }
 }
 

@@ -158,7 +158,9 @@ class Replayer {
 };
 
 // Replays all of `reader`. Whether the graph is known, variables and `Uptime` at the start, and the
-// robot if the options name none, come from it. Errors of the reader, and of Replayer::Judge.
+// robot if the options name none, come from it. Where the reader finds the recording cut or damaged
+// after at least one event, the replay ends, and Result::missing says so. Other errors of the
+// reader, and of Replayer::Judge.
 absl::StatusOr<Result> Replay(recording::Reader& reader,
                               std::shared_ptr<const engine::CompiledPolicy> program,
                               ReplayOptions options, inspect::Session* session);

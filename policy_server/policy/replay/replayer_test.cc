@@ -531,9 +531,40 @@ TEST(ReplayerTest, TheRobotIsThatOfTheRecordingUnlessNamed) {
 }
 
 TEST(ReplayerTest, ABrokenRecordingIsItsReadersError) {
-  FakeReader reader({Signal()}, true, absl::DataLossError("x.rips: torn at 17"));
+  FakeReader reader({Signal()}, true, absl::InvalidArgumentError("x.rips: no event at 17"));
   EXPECT_THAT(Replay(reader, MakeProgram(kTimes), {}, nullptr),
-              StatusIs(absl::StatusCode::kDataLoss, "x.rips: torn at 17"));
+              StatusIs(absl::StatusCode::kInvalidArgument, "x.rips: no event at 17"));
+}
+
+TEST(ReplayerTest, ARecordingThatIsCutIsReplayedAsFarAsItGoes) {
+  const auto program = MakeProgram("rules Msg: m: topicin(\"/t\") ? alert(\"hi\");");
+  std::vector<Recorded> events = {Message("/t"), Message("/t"), Message("/t")};
+  for (size_t i = 0; i < events.size(); ++i) {
+    events[i].time_unix_ns = kNanosPerSecond * static_cast<int64_t>(5 + 2 * i);
+  }
+  events[0].missing_before = "the first file";
+  events[2].missing_before = "the second file";
+  FakeReader reader(events, true, absl::DataLossError("`f`: byte 7: the file is cut"));
+
+  const auto result = Replay(reader, program, {}, nullptr);
+
+  ASSERT_THAT(result, IsOk());
+  EXPECT_THAT(result->alerts, SizeIs(3));
+  EXPECT_THAT(result->missing,
+              ElementsAre(Missing{.text = "the first file"},
+                          Missing{.after = Moment{.event = 1, .time_ns = 7 * kNanosPerSecond},
+                                  .after_ns = 2 * kNanosPerSecond,
+                                  .text = "the second file"},
+                          Missing{.after = Moment{.event = 2, .time_ns = 9 * kNanosPerSecond},
+                                  .after_ns = 4 * kNanosPerSecond,
+                                  .end = true,
+                                  .text = "`f`: byte 7: the file is cut"}));
+  EXPECT_EQ(ToJson(*result)["missing"][2].dump(),
+            R"({"after":2,"seconds":4.0,"end":true,"text":"`f`: byte 7: the file is cut"})");
+  EXPECT_EQ(ToJson(*result)["missing"][0]["after"], nullptr);
+  // Nothing of it is there.
+  FakeReader empty({}, true, absl::DataLossError("cut"));
+  EXPECT_THAT(Replay(empty, program, {}, nullptr), StatusIs(absl::StatusCode::kDataLoss));
 }
 
 TEST(ReplayerTest, TheSameRecordingGivesTheSameResult) {

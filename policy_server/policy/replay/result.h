@@ -89,6 +89,20 @@ struct RuleHits {
   friend bool operator==(const RuleHits&, const RuleHits&) = default;
 };
 
+// A place where the recording lacks what it should hold.
+struct Missing {
+  // The last event before it; none if there is none. Its time is 0 if the recording has no times.
+  std::optional<Moment> after;
+  // From the first event to that one; may be negative if times go back.
+  int64_t after_ns = 0;
+  // Nothing behind it was read.
+  bool end = false;
+  // What is missing, in which file and where.
+  std::string text;
+
+  friend bool operator==(const Missing&, const Missing&) = default;
+};
+
 struct EventCounts {
   // By class, also those after a rule has called `crash`; ticks are external.
   uint64_t message = 0;
@@ -120,6 +134,8 @@ struct Result {
   std::optional<Moment> crashed;
   // The recording has times.
   bool timed = false;
+  // Not empty: the recording is cut, damaged, or lacks a file.
+  std::vector<Missing> missing;
   // Entries that the lists had no room for (ReplayOptions::records_max).
   uint64_t left_out = 0;
 

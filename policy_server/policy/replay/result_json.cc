@@ -39,6 +39,15 @@ Json One(const Noted& note) {
   return {{"event", note.at.event}, {"rule", note.rule}, {"text", note.text}};
 }
 
+Json One(const Missing& missing) {
+  Json after;
+  if (missing.after.has_value()) after = missing.after->event;
+  return {{"after", std::move(after)},
+          {"seconds", static_cast<double>(missing.after_ns) / 1e9},
+          {"end", missing.end},
+          {"text", missing.text}};
+}
+
 Json One(const RuleHits& rule) {
   Json out = {{"name", rule.name},
               {"section", std::string(lang::Name(rule.section))},
@@ -99,6 +108,7 @@ Json ToJson(const Result& result) {
               {"rules", List(result.rules)}};
   if (result.events.unattributed > 0) out["events"]["unattributed"] = result.events.unattributed;
   if (!result.logs.empty()) out["logs"] = List(result.logs);
+  if (!result.missing.empty()) out["missing"] = List(result.missing);
   if (result.crashed.has_value()) out["crashed"] = result.crashed->event;
   if (result.left_out > 0) out["left_out"] = result.left_out;
   return out;

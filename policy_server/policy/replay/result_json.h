@@ -17,6 +17,7 @@ namespace rips::replay {
 //  "variables":{name:value},"faults":[{"event","rule","text"}],
 //  "rules":[{"name","section":"Msg|Graph|External","evaluated","fired","ns_mean"}]}
 // and, only if there is any: "logs":[{"event","rule","text"}] (of `True` and `False`),
+// "missing":[{"after":event|null,"seconds","end":bool,"text"}],
 // "crashed":event, "left_out":count, "unattributed":count in "events", "undecidable":count and
 // "unscanned":count in an entry of "rules".
 nlohmann::ordered_json ToJson(const Result& result);

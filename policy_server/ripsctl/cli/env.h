@@ -20,6 +20,7 @@ enum class ExitCode {
   kRefused = 1,      // the server said no, a check found something, or output was not written
   kUsage = 2,        // wrong flags, settings or certificate files
   kUnreachable = 3,  // no answer from the server
+  kIncomplete = 4,   // done, with a recording that is cut, damaged, or lacks a file
 };
 
 struct ExitCodeMeaning {
@@ -31,6 +32,7 @@ inline constexpr ExitCodeMeaning kExitCodes[] = {
     {ExitCode::kRefused, "refused, problems found or output not written"},
     {ExitCode::kUsage, "usage error"},
     {ExitCode::kUnreachable, "server unreachable"},
+    {ExitCode::kIncomplete, "recording incomplete"},
 };
 
 // Text is for people and may change; JSON is a contract to which fields may be added.

@@ -1,8 +1,9 @@
 // `ripsctl rules replay`: runs rules on a recording. JSON is that of
 // policy_server/policy/replay/result_json.h; with `--against` it has `"against"`, the difference to
-// what the other rules do. Exits with kDone when it ran, kRefused for rules that do not compile
-// (with the output of `rules check`), kUsage for what cannot be read and for levels that the rules
-// do not have; then nothing is printed but the error.
+// what the other rules do. Exits with kDone when it ran, kIncomplete when it ran on what is left of
+// a recording that is cut, damaged or lacks a file, kRefused for rules that do not compile (with
+// the output of `rules check`), kUsage for what cannot be read and for levels that the rules do not
+// have; then nothing is printed but the error.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <nlohmann/json.hpp>
@@ -112,6 +113,21 @@ std::string SomeRules(const Result& result, uint64_t replay::RuleHits::*count) {
                       more > 0 ? absl::StrCat(" and ", more, " more") : "");
 }
 
+// `cut after 12.4 s (event 311, 2026-01-01T00:00:12.400Z): ...`
+std::string MissingText(const replay::Missing& missing, bool timed) {
+  std::string place = missing.end ? "cut" : "part missing";
+  if (!missing.after.has_value()) {
+    place += " at its beginning";
+  } else if (timed) {
+    absl::StrAppendFormat(&place, " after %.1f s (event %d, %s)",
+                          static_cast<double>(missing.after_ns) / kNanosPerSecond,
+                          missing.after->event, ShortTime(missing.after->time_ns));
+  } else {
+    absl::StrAppend(&place, " after event ", missing.after->event);
+  }
+  return absl::StrCat(place, ": ", EscapeText(missing.text));
+}
+
 // What the recording or the robot did not tell. Nothing, if all was told.
 void PrintNotTold(const Result& result, const RuleSet& rules, TextStream out) {
   const replay::EventCounts& events = result.events;
@@ -153,6 +169,9 @@ void PrintResult(const Result& result, const RuleSet& rules, bool profile, TextS
   const replay::EventCounts& events = result.events;
   out << "events: " << events.message << " messages, " << events.graph << " graph changes, "
       << events.external << " external\nlevel at the end: " << EscapeText(result.level) << "\n";
+  for (const replay::Missing& missing : result.missing) {
+    out << "incomplete recording: " << MissingText(missing, result.timed) << "\n";
+  }
   PrintNotTold(result, rules, out);
   if (result.crashed.has_value()) {
     out << "crashed: a rule called `crash` at event " << MomentText(*result.crashed, result.timed)
@@ -330,6 +349,10 @@ class ReplayRulesCommand final : public Command {
     if (other->program != nullptr) {
       after = Replay(env, *other, nullptr);
       if (!after.ok()) return UsageError(env, after.status().message());
+      if (!OfTheSame(*result, *after)) {
+        return UsageError(env, absl::StrCat("`", events_, "` changed while it was read; replay a ",
+                                            "copy of it"));
+      }
       difference = replay::Compare(*result, *after);
     }
     if (env.json()) {
@@ -348,10 +371,16 @@ class ReplayRulesCommand final : public Command {
         PrintNotTold(*after, *other, env.out);
       }
     }
-    return ExitCode::kDone;
+    return result->missing.empty() ? ExitCode::kDone : ExitCode::kIncomplete;
   }
 
  private:
+  // Both are of the same events: one that is still being written grows.
+  static bool OfTheSame(const Result& one, const Result& other) {
+    return one.events.message == other.events.message && one.events.graph == other.events.graph &&
+           one.events.external == other.events.external && one.missing == other.missing;
+  }
+
   absl::StatusOr<RuleSet> Load(const std::vector<std::string>& paths) const {
     using Dialect = lang::CheckedRules::Dialect;
     using engine::OnInspectionError;

@@ -268,15 +268,59 @@ TEST_F(RulesReplayTest, RefusedRulesAreShownAsCheckDoes) {
   }
 }
 
+TEST_F(RulesReplayTest, ACutRecordingIsReplayedAndExitsWithFour) {
+  namespace bag = recording;
+  const int64_t start = 1'767'225'600'000'000'000;  // 2026-01-01T00:00:00Z
+  std::string bytes = absl::StrCat(bag::McapHeader(), bag::McapChannel(1, 0, "/chatter"));
+  for (const int64_t at_ms : {0, 400, 12'400}) {
+    bytes += bag::McapMessage(1, static_cast<uint64_t>(start + at_ms * 1'000'000), "hello");
+  }
+  const std::string cut = Write("cut.mcap", bytes + "\x05\x09");
+  const std::vector<std::string> args = {"rules", "replay", "--rules", rules_, "--events", cut};
+
+  const Result text = RunOffline(args);
+  EXPECT_EQ(text.code, 4);
+  EXPECT_EQ(text.err, "");
+  EXPECT_THAT(text.out,
+              AllOf(StartsWith("events: 3 messages"),
+                    HasSubstr(absl::StrCat("\nincomplete recording: cut after 12.4 s (event 2, "
+                                           "2026-01-01T00:00:12.400Z): `",
+                                           cut, "`: byte ", bytes.size(), ": the file is cut"))));
+  std::vector<std::string> more = args;
+  more.insert(more.end(), {"--output", "json", "--against", rules_});
+  const Result json = RunOffline(more);
+  EXPECT_EQ(json.code, 4);
+  const nlohmann::json missing = nlohmann::json::parse(json.out)["missing"];
+  ASSERT_EQ(missing.size(), 1u);
+  EXPECT_EQ(missing[0]["after"], 2);
+  EXPECT_EQ(missing[0]["seconds"], 12.4);
+  EXPECT_EQ(missing[0]["end"], true);
+  // Without times; rules that are refused come first.
+  const std::string yaml = Write("cut.yaml", absl::StrCat(kEvents, "---\nevent: mess"));
+  const Result untimed = RunOffline({"rules", "replay", "--rules", rules_, "--events", yaml});
+  EXPECT_EQ(untimed.code, 4);
+  EXPECT_THAT(untimed.out, HasSubstr("\nincomplete recording: cut after event 3: "));
+  const std::string broken = Write("broken.rul", "levels: A;\nrules Msg: nonsense() ? alert(1);\n");
+  EXPECT_EQ(RunOffline({"rules", "replay", "--rules", broken, "--events", cut}).code, 1);
+  // A directory that lacks its first file.
+  std::filesystem::create_directory(folder_ + "/bag");
+  Write("bag/bag_0.mcap", "");
+  Write("bag/bag_1.mcap", bytes);
+  const Result bag =
+      RunOffline({"rules", "replay", "--rules", rules_, "--events", folder_ + "/bag"});
+  EXPECT_EQ(bag.code, 4);
+  EXPECT_THAT(bag.out, AllOf(HasSubstr("\nincomplete recording: part missing at its beginning: `"),
+                             HasSubstr("bag_0.mcap`: byte 0: the file is empty\n"),
+                             HasSubstr("has no metadata.yaml")));
+}
+
 TEST_F(RulesReplayTest, WhatCannotBeUsedIsAnError) {
-  const std::string cut = Write("cut.yaml", absl::StrCat(kEvents, "---\nevent: mess"));
   const std::string torn = Write("torn.rips", std::string("\x89RIPS\x01\r\n\x09", 9));
   const auto with = [&](const std::string& events) {
     return std::vector<std::string>{"rules", "replay", "--rules", rules_, "--events", events};
   };
   const std::pair<std::vector<std::string>, std::string> kCases[] = {
       {with(folder_ + "/none"), "none"},
-      {with(cut), "cut.yaml"},
       {with(torn), "torn.rips"},
       {with(rules_), "a.rul"},
       {{"rules", "replay", "--rules", folder_ + "/no.rul", "--events", events_}, "no.rul"},
