@@ -16,6 +16,8 @@ using ros2::EndpointKind;
 using ros2::Guid;
 
 constexpr int64_t kMinuteNs = 60'000'000'000;
+// Writers whose numbers jumped: as many as a topic watcher follows.
+constexpr size_t kJumpsMax = 32'768;
 // Participants named in a text.
 constexpr size_t kNamedMax = 4;
 constexpr absl::string_view kChangeMode = "/change_mode";
@@ -24,7 +26,7 @@ constexpr absl::string_view kSteering[] = {kChangeMode, "/change_state", "/set_p
                                            "/set_parameters_atomically"};
 constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",       "false_claim",
                                       "foreign_mode_writer", "non_ros_writer", "non_ros_reader",
-                                      "unauthenticated"};
+                                      "unauthenticated",     "sequence_jump"};
 
 // The part whose mode the service steers; empty = it is no such service.
 absl::string_view PartOf(absl::string_view service) {
@@ -179,7 +181,24 @@ void Findings::OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
   glimpses_[endpoint.guid] = {now_ns, std::move(topic.name)};
 }
 
+void Findings::OnSequenceJump(const Guid& writer, const std::string& topic,
+                              const std::string& detail) {
+  if (jumps_.contains(writer)) return;
+  if (jumps_.size() >= kJumpsMax) {
+    ++dropped_;
+    return;
+  }
+  jumps_[writer] = {topic, detail};
+  dirty_ = true;
+}
+
+void Findings::OnParticipantGone(const Guid& participant) {
+  dirty_ |= absl::erase_if(
+                jumps_, [&](const auto& each) { return each.first.SamePrefix(participant); }) > 0;
+}
+
 void Findings::OnEndpointGone(const Guid& endpoint) {
+  dirty_ |= jumps_.erase(endpoint) > 0;
   const auto it = glimpses_.find(endpoint);
   if (it == glimpses_.end()) return;
   const auto [seen_ns, service] = std::move(it->second);
@@ -436,6 +455,18 @@ void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
   }
 }
 
+void Findings::CollectJumps(WantedMap& wanted) {
+  for (const auto& [guid, jump] : jumps_) {
+    Wanted* fresh = Want({kSequenceJump, guid, ""}, 0, wanted);
+    if (fresh == nullptr) continue;
+    const auto suspect = now_.suspects.find(guid);
+    fresh->finding = {.guid = guid,
+                      .node = suspect == now_.suspects.end() ? "" : suspect->second.node,
+                      .topic = jump.first,
+                      .detail = absl::StrCat(Describe(guid.Participant()), ": ", jump.second)};
+  }
+}
+
 Findings::WantedMap Findings::Collect(int64_t now_ns) {
   WantedMap wanted;
   fresh_ = {};
@@ -444,6 +475,7 @@ Findings::WantedMap Findings::Collect(int64_t now_ns) {
   CollectModeWriters(wanted);
   CollectNonRos(wanted);
   CollectStrangers(now_ns, wanted);
+  CollectJumps(wanted);
   for (auto& [key, each] : wanted) {
     each.finding.kind = kKindNames[key.kind];
     if (each.finding.detail.size() > kFindingDetailBytesMax) {
