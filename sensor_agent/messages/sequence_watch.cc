@@ -13,8 +13,9 @@ using ros2::Guid;
 
 // Endpoints that a participant announces, and messages of ros_discovery_info.
 constexpr uint64_t kFirstOfDiscoveryMax = 10'000'000;
-// Of a writer that keeps samples for late readers.
-constexpr uint64_t kKeptPerSecond = 10'000;
+// Of these, and of a writer that keeps samples for late readers.
+constexpr uint64_t kDiscoveryPerSecond = 10'000;
+constexpr uint64_t kKeptPerSecond = 100'000;
 // Looks that show drops alone. A writer that keeps its samples may write one and fall silent.
 constexpr int kStuckLooks = 2;
 constexpr int64_t kQuietNs = 2'000'000'000;
@@ -40,6 +41,11 @@ bool Keeps(WriterKind kind) {
 
 uint64_t FirstMax(WriterKind kind) {
   return kind == WriterKind::kDiscovery ? kFirstOfDiscoveryMax : kFirstNumberMax;
+}
+
+uint64_t PerSecond(WriterKind kind) {
+  if (kind == WriterKind::kDiscovery) return kDiscoveryPerSecond;
+  return kind == WriterKind::kLatched ? kKeptPerSecond : kNumbersPerSecond;
 }
 
 uint64_t TopOf(const HeldNumbers& held) {
@@ -135,7 +141,6 @@ void SequenceWatch::Look(const Guid& guid, Writer& writer, int64_t now_ns) {
     return;
   }
   const uint64_t top = TopOf(*held);
-  const uint64_t rate = Keeps(writer.kind) ? kKeptPerSecond : kNumbersPerSecond;
   bool believed = true;
   if (!writer.looked) {
     writer.next_ns = writer.top_ns = now_ns;
@@ -145,7 +150,7 @@ void SequenceWatch::Look(const Guid& guid, Writer& writer, int64_t now_ns) {
   } else if (top > writer.top) {
     // Nothing of it was there, and then its history.
     const bool first = writer.top <= 1 && top <= FirstMax(writer.kind);
-    believed = first || top - writer.top <= RiseMax(rate, now_ns - writer.top_ns);
+    believed = first || top - writer.top <= RiseMax(PerSecond(writer.kind), now_ns - writer.top_ns);
     if (!believed) {
       Jump(guid, writer, absl::StrCat("its numbers jumped from ", writer.top, " to ", top));
     }

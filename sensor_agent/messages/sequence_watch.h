@@ -7,8 +7,8 @@
 // | a first number above kFirstNumberMax (discovery and   | a jump, and the numbers are forgotten   |
 // | ros_discovery_info: 10 million)                       |                                         |
 // | the highest number rose by more than RiseMax since it | the same                                |
-// | last did; of what is kept for late readers 10,000 a   |                                         |
-// | second are believed                                   |                                         |
+// | last did; of latched writers 100,000 a second are     |                                         |
+// | believed, of discovery 10,000                         |                                         |
 // | samples are dropped, and nothing new is accepted      | the numbers are forgotten               |
 // | what comes then is lower by more than kNumbersSlack   | a jump                                  |
 //
