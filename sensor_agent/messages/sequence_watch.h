@@ -2,15 +2,15 @@
 // that no honest writer reaches: else one forged packet makes every reader of this process deaf to
 // that writer, since lower numbers are dropped as old before anything else sees them.
 //
-// | what a look shows                                     | then                                    |
-// |-------------------------------------------------------|-----------------------------------------|
-// | a first number above kFirstNumberMax (discovery and   | a jump, and the numbers are forgotten   |
-// | ros_discovery_info: 10 million)                       |                                         |
-// | the highest number rose by more than RiseMax since it | the same                                |
-// | last did; of latched writers 100,000 a second are     |                                         |
-// | believed, of discovery 10,000                         |                                         |
-// | samples are dropped, and nothing new is accepted      | the numbers are forgotten               |
-// | what comes then is lower by more than kNumbersSlack   | a jump                                  |
+// | what a look shows                                     | then                                  |
+// |-------------------------------------------------------|---------------------------------------|
+// | a first number above kFirstNumberMax (discovery and   | a jump, and the numbers are forgotten |
+// | ros_discovery_info: 10 million)                       |                                       |
+// | the highest number rose by more than RiseMax since it | the same                              |
+// | last did; of latched writers 100,000 a second are     |                                       |
+// | believed, of discovery 10,000                         |                                       |
+// | samples are dropped, and nothing new is accepted      | the numbers are forgotten             |
+// | what comes then is lower by more than kNumbersSlack   | a jump                                |
 //
 // Data, heartbeats and gaps alike move these numbers. What a writer sends again, once its numbers
 // are forgotten, MessageFlow knows.
