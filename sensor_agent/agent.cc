@@ -509,7 +509,10 @@ void Agent::PollSequences(int64_t now_ns) {
   for (const SequenceJump& jump : sequences_->Poll(now_ns)) {
     domain_->topics().SetJumped(jump.writer);
     const std::optional<ros2::Endpoint> writer = graph_->Find(jump.writer);
-    findings_->OnSequenceJump(jump.writer, writer.has_value() ? writer->name : "", jump.detail);
+    findings_->OnSequenceJump({.guid = jump.writer,
+                               .node = writer.has_value() ? writer->node : "",
+                               .topic = writer.has_value() ? writer->name : "",
+                               .detail = jump.detail});
   }
 }
 

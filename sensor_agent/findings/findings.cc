@@ -181,14 +181,13 @@ void Findings::OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
   glimpses_[endpoint.guid] = {now_ns, std::move(topic.name)};
 }
 
-void Findings::OnSequenceJump(const Guid& writer, const std::string& topic,
-                              const std::string& detail) {
-  if (jumps_.contains(writer)) return;
+void Findings::OnSequenceJump(const Finding& jump) {
+  if (jumps_.contains(jump.guid)) return;
   if (jumps_.size() >= kJumpsMax) {
     ++dropped_;
     return;
   }
-  jumps_[writer] = {topic, detail};
+  jumps_[jump.guid] = jump;
   dirty_ = true;
 }
 
@@ -459,11 +458,8 @@ void Findings::CollectJumps(WantedMap& wanted) {
   for (const auto& [guid, jump] : jumps_) {
     Wanted* fresh = Want({kSequenceJump, guid, ""}, 0, wanted);
     if (fresh == nullptr) continue;
-    const auto suspect = now_.suspects.find(guid);
-    fresh->finding = {.guid = guid,
-                      .node = suspect == now_.suspects.end() ? "" : suspect->second.node,
-                      .topic = jump.first,
-                      .detail = absl::StrCat(Describe(guid.Participant()), ": ", jump.second)};
+    fresh->finding = jump;
+    fresh->finding.detail = absl::StrCat(Describe(guid.Participant()), ": ", jump.detail);
   }
 }
 

@@ -71,10 +71,9 @@ class Findings {
   // As discovered, before the graph step that shows it, if one does: a client may be gone by then.
   void OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns);
   void OnEndpointGone(const ros2::Guid& endpoint);
-  // The numbers of `writer`, which discovery shows, jumped: stands until it or its participant has
-  // gone. `topic`: a ROS name; empty for the writers of discovery itself.
-  void OnSequenceJump(const ros2::Guid& writer, const std::string& topic,
-                      const std::string& detail);
+  // The numbers of `jump.guid`, a writer that discovery shows, jumped: stands until it or its
+  // participant has gone. With its node and topic, if it has them, and what happened as `detail`.
+  void OnSequenceJump(const Finding& jump);
   void OnParticipantGone(const ros2::Guid& participant);
   // What GraphBuilder::NodesClaimed said of a claim published by the endpoint `writer`.
   void OnClaim(const ros2::Guid& writer, const absl::Status& taken, int64_t now_ns);
@@ -218,8 +217,7 @@ class Findings {
   absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> glimpses_;
   // By participant: when and what.
   absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> false_claims_;
-  // By writer: its topic, and what its numbers did.
-  absl::btree_map<ros2::Guid, std::pair<std::string, std::string>> jumps_;
+  absl::btree_map<ros2::Guid, Finding> jumps_;
 
   absl::btree_map<Key, Held> held_;
   std::array<Window, kKinds> windows_;

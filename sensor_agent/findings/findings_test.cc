@@ -769,7 +769,7 @@ TEST_F(FindingsTest, SnapshotKeepsWhatStandsAndEndsWhatIsNotInIt) {
 TEST_F(FindingsTest, AJumpOfNumbersStandsUntilItsWriterOrParticipantGoes) {
   Step(Process(1));
   for (const uint8_t number : {2, 3, 2}) {
-    findings_->OnSequenceJump(EndpointGuid(1, number), "/scan", "it jumped");
+    findings_->OnSequenceJump({.guid = EndpointGuid(1, number), .topic = "/scan"});
   }
   EXPECT_THAT(Poll(), ElementsAre(Begins("sequence_jump", EndpointGuid(1, 2)),
                                   Begins("sequence_jump", EndpointGuid(1, 3))));

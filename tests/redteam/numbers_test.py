@@ -17,7 +17,7 @@ HERE = pathlib.Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parents[0] / "integration"))
 sys.path.insert(0, str(HERE.parents[0] / "support"))
 import wire_test  # noqa: E402
-from fleet import Fleet, check, eventually, metrics, perform  # noqa: E402
+from fleet import Failed, Fleet, check, eventually, metrics, perform  # noqa: E402
 from wire_test import SENSOR_INDEX, SPDP, World, data_port, send_from  # noqa: E402
 
 FORGED = 1 << 40
@@ -92,14 +92,25 @@ class Deaf:
         """To the sensor alone, from another host and port than the writer's."""
         send_from(self.world.other, payload, data_port(self.world.domain, SENSOR_INDEX))
 
-    def found(self, prefix, since):
-        """The finding, at the server and as the exit code of `coverage`, in SEEN_S seconds."""
-        guid = f"{prefix[:8]}.{prefix[8:16]}.{prefix[16:]}.{FIRST_WRITER.hex()}"
+    def found(self, prefix, topic, since):
+        """The finding of that participant's topic at the server, and code 1 of `coverage`, in SEEN_S
+        seconds."""
+        participant = f"participant {prefix[:8]}.{prefix[8:16]}.{prefix[16:]}.000001c1"
+        shown = None
+
         def seen():
-            code, text, _ = self.fleet.ripsctl("robot", "coverage", "r1", check=False)
-            return (code == 1 and "sequence_jump" in text and guid in text and
-                    "not visible: sequence numbers jumped" in text)
-        eventually(seen, SEEN_S, f"sequence_jump of {guid} and coverage 1")
+            nonlocal shown
+            code, shown, _ = self.fleet.ripsctl("robot", "coverage", "r1", check=False)
+            lines = shown.splitlines()
+            return (code == 1 and
+                    any("sequence_jump" in line and participant in line for line in lines) and
+                    any(topic in line and "not visible: sequence numbers jumped" in line
+                        for line in lines))
+        try:
+            eventually(seen, SEEN_S, f"sequence_jump of {participant} and coverage 1")
+        except Failed:
+            print(shown)
+            raise
         return time.monotonic() - since
 
     def samples(self):
@@ -126,7 +137,7 @@ class Deaf:
         for _ in range(2):
             self.send(data(prefix, FORGED))
         self.world.start_probe("victim", self.world.robot, topic="/cmd_vel", xml=None)
-        seen_s = self.found(prefix, since)
+        seen_s = self.found(prefix, "/cmd_vel", since)
         wire_test.wait_told(self.fleet, "the attack", SEEN_S)
         return seen_s
 
@@ -137,7 +148,7 @@ class Deaf:
         since = time.monotonic()
         for _ in range(2):
             self.send(data(prefix, FORGED))
-        seen_s = self.found(prefix, since)
+        seen_s = self.found(prefix, "/scan", since)
         self.hears("/scan after a forged number")
         peer.kill()
         return seen_s
@@ -148,7 +159,7 @@ class Deaf:
         self.hears("/map")
         since = time.monotonic()
         self.send(heartbeat(prefix, FORGED))
-        seen_s = self.found(prefix, since)
+        seen_s = self.found(prefix, "/map", since)
         self.hears("/map after a forged heartbeat")
         peer.kill()
         return seen_s
