@@ -13,6 +13,7 @@ using ros2::Guid;
 
 // Endpoints that a participant announces, and messages of ros_discovery_info.
 constexpr uint64_t kFirstOfDiscoveryMax = 10'000'000;
+constexpr uint64_t kFirstOfLatchedMax = 10'000'000'000;
 // Of these, and of a writer that keeps samples for late readers.
 constexpr uint64_t kDiscoveryPerSecond = 10'000;
 constexpr uint64_t kKeptPerSecond = 100'000;
@@ -40,7 +41,8 @@ bool Keeps(WriterKind kind) {
 }
 
 uint64_t FirstMax(WriterKind kind) {
-  return kind == WriterKind::kDiscovery ? kFirstOfDiscoveryMax : kFirstNumberMax;
+  if (kind == WriterKind::kDiscovery) return kFirstOfDiscoveryMax;
+  return kind == WriterKind::kLatched ? kFirstOfLatchedMax : kFirstNumberMax;
 }
 
 uint64_t PerSecond(WriterKind kind) {
@@ -48,7 +50,9 @@ uint64_t PerSecond(WriterKind kind) {
   return kind == WriterKind::kLatched ? kKeptPerSecond : kNumbersPerSecond;
 }
 
+// 0 = nothing has come; then a reliable writer may have been asked for its first sample.
 uint64_t TopOf(const HeldNumbers& held) {
+  if (held.next <= 1 && held.last <= 1) return 0;
   return std::max(held.next > 0 ? held.next - 1 : 0, held.last);
 }
 
@@ -148,8 +152,7 @@ void SequenceWatch::Look(const Guid& guid, Writer& writer, int64_t now_ns) {
     believed = top <= FirstMax(writer.kind);
     if (!believed) Jump(guid, writer, absl::StrCat("its first number is ", top));
   } else if (top > writer.top) {
-    // Nothing of it was there, and then its history.
-    const bool first = writer.top <= 1 && top <= FirstMax(writer.kind);
+    const bool first = writer.top == 0 && top <= FirstMax(writer.kind);
     believed = first || top - writer.top <= RiseMax(PerSecond(writer.kind), now_ns - writer.top_ns);
     if (!believed) {
       Jump(guid, writer, absl::StrCat("its numbers jumped from ", writer.top, " to ", top));
@@ -157,7 +160,7 @@ void SequenceWatch::Look(const Guid& guid, Writer& writer, int64_t now_ns) {
   }
   if (writer.looked && believed && !writer.forget) {
     LookForDrops(writer, *held, now_ns);
-    if (writer.before > 0 && !writer.forget && top > 1) {
+    if (writer.before > 0 && !writer.forget && top > 0) {
       const bool back = writer.before > top && writer.before - top > kNumbersSlack;
       if (back && ++writer.looks_since >= 2) {
         Jump(guid, writer, absl::StrCat("its numbers went back from ", writer.before, " to ", top));
@@ -168,8 +171,7 @@ void SequenceWatch::Look(const Guid& guid, Writer& writer, int64_t now_ns) {
       }
     }
   }
-  // Nothing is what was forgotten.
-  if (believed && (top > writer.top || (top < writer.top && top > 1))) {
+  if (believed && top != writer.top && top > 0) {
     writer.top = top;
     writer.top_ns = now_ns;
   }

@@ -5,7 +5,7 @@
 // | what a look shows                                     | then                                  |
 // |-------------------------------------------------------|---------------------------------------|
 // | a first number above kFirstNumberMax (discovery and   | a jump, and the numbers are forgotten |
-// | ros_discovery_info: 10 million)                       |                                       |
+// | ros_discovery_info: 10 million; latched: 10 billion)  |                                       |
 // | the highest number rose by more than RiseMax since it | the same                              |
 // | last did; of latched writers 100,000 a second are     |                                       |
 // | believed, of discovery 10,000                         |                                       |

@@ -157,6 +157,27 @@ TEST_F(SequenceWatchTest, OfALatchedWriterOneDropIsEnoughToAskAgain) {
   EXPECT_EQ(forgotten_.size(), 1u);
 }
 
+TEST_F(SequenceWatchTest, ALatchedWriterOfOneSampleCannotBeMovedFar) {
+  watch_.WriterSeen(kWriter, WriterKind::kLatched);
+  held_[kWriter] = {.next = 1, .last = 1};  // asked for
+  EXPECT_THAT(Look(), IsEmpty());
+  Receive(kWriter, 50'000);  // it has been there for long
+  EXPECT_THAT(Look(), IsEmpty());
+  watch_.WriterGone(kWriter);
+  held_[kWriter] = {.next = 2, .last = 1};
+  watch_.WriterSeen(kWriter, WriterKind::kLatched);
+  EXPECT_THAT(Look(), IsEmpty());
+  held_[kWriter].next = 1'000'000'000;  // a heartbeat
+  EXPECT_THAT(Look(), ElementsAre("its numbers jumped from 1 to 999999999"));
+  // What it has kept comes a look later: no other jump.
+  held_[kWriter] = {.next = 1, .last = 1};
+  Look();
+  EXPECT_EQ(forgotten_.size(), 1u);
+  Receive(kWriter, 1);
+  Look();
+  EXPECT_EQ(forgotten_.size(), 1u);
+}
+
 TEST_F(SequenceWatchTest, DiscoveryIsWatchedWithoutBeingShown) {
   watch_.ParticipantSeen(kParticipant);
   for (uint64_t number = 1; number <= 40; ++number) Receive(kPublications, number);
