@@ -1,6 +1,6 @@
-"""One forged packet that makes a sensor's reader deaf: sequence numbers that no writer reaches, sent
-to the sensor alone, without a key. In network namespaces of their own: a robot, and another host on
-its network. Real processes: policy server, rips-sensor, rips-wire, DDS peers.
+"""One forged packet that makes a sensor deaf: sequence numbers that no writer reaches, sent to the
+sensor alone, without a key. In network namespaces of their own: a robot, and another host on its
+network. Real processes: policy server, rips-sensor, rips-wire, DDS peers.
 
     numbers_test.py BINARIES SCENARIO      runs one; without SCENARIO prints their names
 """
@@ -82,7 +82,8 @@ class Deaf:
     def start_peer(self, name, topic, *options):
         peer = self.world.start(name, self.world.other, self.world.bin / "dds_peer", "--domain",
                                 self.world.domain, "--interface", "eth0", "--node", f"/{name}",
-                                "--publish", f"rt/{topic},geometry_msgs::msg::dds_::Twist_{options[0]}",
+                                "--publish",
+                                f"rt/{topic},geometry_msgs::msg::dds_::Twist_{options[0]}",
                                 *options[1:], xml=SPDP)
         prefix = peer.wait_for(lambda line: line.startswith("up ") and line.split()[1], 20,
                                f"{name} is up")[1]
@@ -93,8 +94,8 @@ class Deaf:
         send_from(self.world.other, payload, data_port(self.world.domain, SENSOR_INDEX))
 
     def found(self, prefix, topic, since):
-        """The finding of that participant's topic at the server, and code 1 of `coverage`, in SEEN_S
-        seconds."""
+        """Waits at most SEEN_S for the finding of that participant's topic at the server, and code
+        1 of `coverage`. Gives the seconds since then."""
         participant = f"participant {prefix[:8]}.{prefix[8:16]}.{prefix[16:]}.000001c1"
         shown = None
 
@@ -174,20 +175,19 @@ class Deaf:
         peer.kill()
 
 
-def play(world, tap):
+def without_tap(world):
     world.build()
-    deaf = Deaf(world, tap)
+    deaf = Deaf(world, False)
     seen = {each.__name__: each() for each in (deaf.running, deaf.latched, deaf.first_number)}
     deaf.is_over()
     print("seen after", ", ".join(f"{name}: {at:.1f} s" for name, at in seen.items()))
 
 
-def without_tap(world):
-    play(world, False)
-
-
 def with_tap(world):
-    play(world, True)
+    """As without, where the tap has something to say of it, too."""
+    world.build()
+    deaf = Deaf(world, True)
+    print(f"seen after running: {deaf.running():.1f} s")
 
 
 SCENARIOS = [without_tap, with_tap]
