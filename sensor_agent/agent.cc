@@ -42,6 +42,15 @@ void AddFinding(Finding finding, int64_t now_ns, Observations& seen) {
   observation.what = std::move(finding);
 }
 
+WriterKind KindOf(const EndpointFact& writer) {
+  if (writer.topic == ros2::kDiscoveryTopic) return WriterKind::kDiscovery;
+  if (ros2::DemangleTopic(writer.topic).kind != ros2::DdsTopicKind::kTopic) {
+    return WriterKind::kUnread;
+  }
+  const bool latched = writer.qos.reliable && writer.qos.transient_local;
+  return latched ? WriterKind::kLatched : WriterKind::kMessages;
+}
+
 Loss LimitLoss(uint64_t count, int64_t now_ns) {
   return {.cause = LossCause::kLimit,
           .count = count,
@@ -235,6 +244,10 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
   agent->findings_.emplace(FindingsOptions{.own = own,
                                            .secured = secured && !admits_strangers,
                                            .raw_readers = config.watch.raw_readers});
+  agent->sequences_.emplace(
+      SequenceWatchOptions{},
+      [raw](const ros2::Guid& writer) { return raw->domain_->NumbersOf(writer); },
+      [raw](const ros2::Guid& writer) { raw->domain_->ForgetNumbersOf(writer); });
   agent->watch_.unwatched = config.watch.unwatched;
   agent->watch_.interest = KeptInterest(config.state_dir);
   if (agent->watch_.interest != nullptr) {
@@ -346,6 +359,7 @@ void Agent::Poll(int64_t now_ns) {
 
 void Agent::PollDomain(int64_t now_ns, Observations& seen) {
   PollDiscovery(now_ns, seen);
+  PollSequences(now_ns);
   PollCoverage(now_ns);
   // Now that readers have been opened and closed.
   Announce(now_ns);
@@ -367,7 +381,7 @@ void Agent::SayDdsProblem(const std::string& why) {
 int64_t Agent::NextWork() const {
   if (domain_ == nullptr) return kNever;
   const int64_t work_ns =
-      std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue(),
+      std::min({graph_->NextDue(), flow_->NextDue(), findings_->NextDue(), sequences_->NextDue(),
                 domain_->topics().NextDue(), announcer_ ? announcer_->NextDue() : kNever});
   return resync_until_ns_ == 0 ? work_ns : std::min(work_ns, resync_until_ns_);
 }
@@ -485,7 +499,12 @@ void Agent::WatchGraphLimits(uint64_t left_out, int64_t now_ns) {
 }
 
 void Agent::OnParticipant(const ros2::Participant& participant, bool alive, int64_t now_ns) {
-  if (alive) return graph_->ParticipantSeen(participant, now_ns);
+  if (alive) {
+    sequences_->ParticipantSeen(participant.guid);
+    return graph_->ParticipantSeen(participant, now_ns);
+  }
+  sequences_->ParticipantGone(participant.guid);
+  findings_->OnParticipantGone(participant.guid);
   graph_->ParticipantGone(participant.guid, now_ns);
   if (announcer_ != nullptr) announcer_->Gone(participant.guid);
 }
@@ -493,6 +512,7 @@ void Agent::OnParticipant(const ros2::Participant& participant, bool alive, int6
 void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns) {
   if (!alive) {
     flow_->WriterGone(endpoint.guid, now_ns);
+    sequences_->WriterGone(endpoint.guid);
     graph_->EndpointGone(endpoint.guid, now_ns);
     findings_->OnEndpointGone(endpoint.guid);
     domain_->topics().EndpointGone(endpoint.guid);
@@ -501,11 +521,28 @@ void Agent::OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns)
   if (endpoint.guid.SamePrefix(domain_->own())) return;
   graph_->EndpointSeen(endpoint, now_ns);
   findings_->OnEndpointSeen(endpoint, now_ns);
+  if (endpoint.writer) sequences_->WriterSeen(endpoint.guid, KindOf(endpoint));
   if (ros2::DemangleTopic(endpoint.topic).kind != ros2::DdsTopicKind::kTopic) return;
   // What goes wrong is reported by PollCoverage.
   domain_->topics().Watch(endpoint, now_ns).IgnoreError();
   if (wire_ != nullptr && domain_->topics().Reads(endpoint.guid)) {
     wire_->OnRead(endpoint.guid, now_ns);
+  }
+}
+
+void Agent::OnSequenceJump(const SequenceJump& jump) {
+  sequences_->Jumped(jump);
+  if (sequences_->NextDue() == 0) woken_ = true;  // in the next turn
+}
+
+void Agent::PollSequences(int64_t now_ns) {
+  for (const SequenceJump& jump : sequences_->Poll(now_ns)) {
+    domain_->topics().SetJumped(jump.writer);
+    const std::optional<ros2::Endpoint> writer = graph_->Find(jump.writer);
+    findings_->OnSequenceJump({.guid = jump.writer,
+                               .node = writer.has_value() ? writer->node : "",
+                               .topic = writer.has_value() ? writer->name : "",
+                               .detail = jump.detail});
   }
 }
 
@@ -557,6 +594,7 @@ void Agent::PollSamples(int64_t now_ns, Observations& seen) {
   for (Sample& sample : samples) flow_->Take(std::move(sample), now_ns, output);
   if (samples.size() == kSamplesAtOnce) woken_ = true;  // there is more
   seen.messages = std::move(output.messages);
+  for (const SequenceJump& jump : output.jumps) OnSequenceJump(jump);
   for (Loss& loss : output.losses) {
     lost_.Increment(static_cast<double>(loss.count));
     seen.losses.push_back(std::move(loss));

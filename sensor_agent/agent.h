@@ -23,6 +23,7 @@
 #include "sensor_agent/ids/ids_feed.h"
 #include "sensor_agent/interest/interest.h"
 #include "sensor_agent/messages/message_flow.h"
+#include "sensor_agent/messages/sequence_watch.h"
 #include "sensor_agent/uplink/uplink.h"
 #include "sensor_agent/wire/wire_input.h"
 #include "services/base/clock.h"
@@ -105,6 +106,9 @@ class Agent {
   // Has what `watch_` says read from now on.
   void FollowPlan(int64_t now_ns);
   void OnEndpoint(const EndpointFact& endpoint, bool alive, int64_t now_ns);
+  // The numbers of a writer jumped, as whoever says so: any number of times.
+  void OnSequenceJump(const SequenceJump& jump);
+  void PollSequences(int64_t now_ns);
   void PollClaims(int64_t now_ns, Observations& seen);
   void PollSamples(int64_t now_ns, Observations& seen);
   void PollFindings(int64_t now_ns, Observations& seen);
@@ -156,6 +160,7 @@ class Agent {
   std::optional<GraphBuilder> graph_;
   std::optional<MessageFlow> flow_;
   std::optional<Findings> findings_;
+  std::optional<SequenceWatch> sequences_;
   OwnParticipants own_;
   uint64_t findings_dropped_ = 0;
   std::optional<FindingsTold> findings_told_;

@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <functional>
 #include <optional>
+#include <set>
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
@@ -15,6 +16,7 @@
 #include "services/rpc/credentials.h"
 #include "services/rpc/test_pki.h"
 #include "services/runtime/real_clock.h"
+#include "tests/support/ros2/forged_rtps.h"
 #include "tests/support/ros2/test_keystore.h"
 
 namespace rips::sensor {
@@ -246,6 +248,73 @@ TEST_F(HostileProcessTest, ServesAProtectedPartWithoutANode) {
   server->reset();
   EXPECT_TRUE(WaitFor("rival_server", /*over=*/true).has_value());
   EXPECT_THAT(Kinds(), ElementsAre("rival_server", "rival_server"));
+}
+
+// One forged datagram, under the name of a best-effort writer, a latched one, and of discovery.
+TEST_F(HostileProcessTest, SequenceNumbersThatJumpMakeNobodyDeaf) {
+  constexpr uint64_t kForged = uint64_t{1} << 40;
+  auto laser = robot_.AddProcess();
+  const ros2::Guid scan = laser->AddWriter("rt/scan", {.depth = 1}).guid();
+  const ros2::Guid map =
+      laser->AddWriter("rt/map", {.reliable = true, .transient_local = true, .depth = 2}).guid();
+  laser->Announce("laser");
+  Start();
+  const auto heard = [&](const std::string& topic) {
+    return dds::Eventually([&] {
+      laser->Publish("rt" + topic, "after");
+      bool last = false;
+      server_.WaitUntil([&](const FakePolicyServer& s) {
+        const auto all = s.Distinct(rips::v1::MESSAGES);
+        for (const Recorded& each : all) {
+          if (each.topic != topic) continue;
+          const uint64_t number = each.what.message().writer_sequence();
+          last = number > 0 && number < kForged;
+        }
+        return true;
+      });
+      return last;
+    });
+  };
+  const auto visible = [&](const ros2::Guid& guid) {
+    bool found = false;
+    server_.WaitUntil([&](const FakePolicyServer& s) {
+      const auto it = s.graph.endpoints().find(guid);
+      found =
+          it != s.graph.endpoints().end() && it->second.visibility == ros2::Visibility::kWatched;
+      return true;
+    });
+    return found;
+  };
+  ASSERT_TRUE(heard("/scan"));
+  ASSERT_TRUE(heard("/map"));
+  EXPECT_TRUE(visible(scan));
+
+  dds::SendForged(dds::ForgedData(scan, kForged, std::string("\0\1\0\0\0\0\0\0", 8)), true);
+  dds::SendForged(dds::ForgedHeartbeat(map, kForged, kForged), true);
+  ros2::Guid publications = laser->participant().guid();
+  publications.bytes[14] = 0x03;
+  publications.bytes[15] = 0xc2;
+  publications.bytes[12] = publications.bytes[13] = 0;
+  dds::SendForged(dds::ForgedHeartbeat(publications, kForged, kForged), true);
+
+  ASSERT_TRUE(dds::Eventually([&] { return Kinds().size() >= 3; }));
+  std::set<std::string> guids;
+  for (const rips::v1::Finding& each : Told()) {
+    EXPECT_EQ(each.kind(), "sequence_jump");
+    guids.insert(each.guid());
+  }
+  EXPECT_THAT(guids,
+              testing::UnorderedElementsAre(scan.ToBytes(), map.ToBytes(), publications.ToBytes()));
+  EXPECT_TRUE(dds::Eventually([&] { return !visible(scan) && !visible(map); }));
+  EXPECT_TRUE(heard("/scan"));
+  EXPECT_TRUE(heard("/map"));
+  const ros2::Guid late = laser->AddWriter("rt/late").guid();
+  EXPECT_TRUE(dds::Eventually([&] { return visible(late); })) << "discovery is heard, too";
+
+  laser->RemoveWriter("rt/scan");
+  const auto over = WaitFor("sequence_jump", /*over=*/true);
+  ASSERT_TRUE(over.has_value());
+  EXPECT_EQ(over->guid(), scan.ToBytes());
 }
 
 TEST_F(HostileProcessTest, StandingFindingsAreToldAgainToAServerThatForgot) {

@@ -93,6 +93,12 @@ void DomainWatch::OnClaim(const dds::RawSample& sample) {
   wake_();
 }
 
+std::optional<HeldNumbers> DomainWatch::NumbersOf(const ros2::Guid& writer) const {
+  const std::optional<dds::WriterNumbers> held = claim_reader_->NumbersOf(writer);
+  if (!held.has_value()) return std::nullopt;
+  return HeldNumbers{.next = held->next, .last = held->last, .discarded = held->discarded};
+}
+
 std::vector<Discovered> DomainWatch::TakeDiscovered() {
   return discovered_.PopAll(absl::ZeroDuration());
 }

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -16,6 +17,7 @@
 #include "absl/status/statusor.h"
 #include "sensor_agent/dds/topic_watcher.h"
 #include "sensor_agent/graph/graph_builder.h"
+#include "sensor_agent/messages/sequence_watch.h"
 #include "services/dds/discovery.h"
 #include "services/dds/participant.h"
 #include "services/dds/raw_reader.h"
@@ -66,6 +68,10 @@ class DomainWatch {
   uint64_t TakeLostClaims() { return lost_claims_.exchange(0); }
   // Has everything that is there now told again.
   absl::Status Rediscover();
+
+  // What the middleware holds of the sequence numbers of any writer, for SequenceWatch.
+  std::optional<HeldNumbers> NumbersOf(const ros2::Guid& writer) const;
+  void ForgetNumbersOf(const ros2::Guid& writer) const { claim_reader_->ForgetNumbersOf(writer); }
 
   TopicWatcher& topics() { return *topics_; }
 

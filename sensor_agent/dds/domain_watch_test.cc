@@ -300,6 +300,37 @@ TEST_F(DomainWatchTest, AWriterThatCannotBeReadSaysWhy) {
   EXPECT_EQ(watch_->topics().NextDue(), kNever);
 }
 
+TEST_F(DomainWatchTest, AWriterWhoseNumbersJumpedIsNotVisibleUntilItIsDiscoveredAgain) {
+  Watch();
+  auto process = robot_.AddProcess();
+  dds::RawWriter& writer = process->AddWriter("rt/chatter");
+  const Guid guid = writer.guid();
+  Read(*process, "rt/chatter", writer);
+  ASSERT_TRUE(Eventually([&] { return watch_->NumbersOf(guid).has_value(); }));
+  watch_->topics().TakeCoverage(kNowNs);
+  const auto news = [&] {
+    std::vector<std::string> all;
+    for (const Coverage& each : watch_->topics().TakeCoverage(kNowNs)) {
+      EXPECT_EQ(each.writer, guid);
+      all.push_back(each.not_visible);
+    }
+    return all;
+  };
+  watch_->topics().SetJumped(guid);
+  EXPECT_THAT(news(), ElementsAre("sequence numbers jumped"));
+  EXPECT_FALSE(watch_->topics().Reads(guid));
+  process->Publish("rt/chatter");
+  EXPECT_TRUE(PumpUntil([&] { return !samples_.empty(); })) << "what comes is handed on";
+  // A topic that is not needed for a while, and then is.
+  Follow(AskOnlyFor("none"));
+  news();
+  Follow(nullptr);
+  EXPECT_THAT(news(), ElementsAre("sequence numbers jumped"));
+  watch_->topics().EndpointGone(guid);
+  ASSERT_THAT(watch_->topics().Watch(endpoints_.at(guid), kNowNs), IsOk());
+  EXPECT_TRUE(watch_->topics().Reads(guid));
+}
+
 TEST_F(DomainWatchTest, AWriterInPartitionPatternsIsReadThroughANameThatTheyMatch) {
   Watch();
   auto process = robot_.AddProcess();

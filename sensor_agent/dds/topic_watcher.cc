@@ -15,6 +15,8 @@ namespace {
 // Matches of one reader are looked at no more often than this, but for changes.
 constexpr int64_t kLookIntervalNs = 250'000'000;
 
+constexpr char kJumped[] = "sequence numbers jumped";
+
 bool IsPattern(absl::string_view partition) {
   return partition.find_first_of("*?") != absl::string_view::npos;
 }
@@ -99,6 +101,14 @@ void TopicWatcher::EndpointGone(const ros2::Guid& endpoint) {
   members_.erase(it);
 }
 
+void TopicWatcher::SetJumped(const ros2::Guid& writer) {
+  const auto it = members_.find(writer);
+  if (it == members_.end()) return;
+  it->second.jumped = true;
+  it->second.visible = false;
+  coverage_.push_back({.writer = writer, .not_visible = kJumped});
+}
+
 void TopicWatcher::SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns) {
   plan_ = std::move(plan);
   // Those that close make room for those that open.
@@ -123,7 +133,9 @@ void TopicWatcher::SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns
 void TopicWatcher::Open(const Key& key, Group& group, bool resumed, int64_t now_ns) {
   group.problem = Create(key, group, resumed);
   for (const ros2::Guid& guid : group.members) {
-    Expect(key, group, members_.find(guid)->second, now_ns);
+    Member& member = members_.find(guid)->second;
+    Expect(key, group, member, now_ns);
+    if (member.jumped) SetJumped(guid);
   }
 }
 
@@ -200,7 +212,7 @@ void TopicWatcher::LookAt(const Key& key, Group& group, int64_t now_ns) {
     if (!member.writer) continue;
     if (matched.contains(guid)) {
       member.match_by_ns = 0;
-      Tell(guid, member, "");
+      Tell(guid, member, member.jumped ? kJumped : "");
       continue;
     }
     if (group.reader == nullptr) {

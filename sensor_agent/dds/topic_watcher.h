@@ -86,6 +86,8 @@ class TopicWatcher {
   // InvalidArgument if its topic is not on `rt/`.
   absl::Status Watch(const EndpointFact& endpoint, int64_t now_ns);
   void EndpointGone(const ros2::Guid& endpoint);
+  // Its sequence numbers jumped: what comes is handed on, but it is not visible until it has gone.
+  void SetJumped(const ros2::Guid& writer);
   // Opens and closes readers. Payloads: for what is received from now on.
   void SetPlan(std::shared_ptr<const WatchPlan> plan, int64_t now_ns);
 
@@ -128,6 +130,7 @@ class TopicWatcher {
     // It must be matched by then; 0 = it is, or was told to be not visible.
     int64_t match_by_ns = 0;
     bool visible = true;  // as told
+    bool jumped = false;
   };
   // Endpoints that one reader is for.
   struct Group {

@@ -17,6 +17,8 @@ using ros2::EndpointKind;
 using ros2::Guid;
 
 constexpr int64_t kMinuteNs = 60'000'000'000;
+// Writers whose numbers jumped: as many as a topic watcher follows.
+constexpr size_t kJumpsMax = 32'768;
 // Participants named in a text.
 constexpr size_t kNamedMax = 4;
 constexpr absl::string_view kChangeMode = "/change_mode";
@@ -25,7 +27,7 @@ constexpr absl::string_view kSteering[] = {kChangeMode, "/change_state", "/set_p
                                            "/set_parameters_atomically"};
 constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",       "false_claim",
                                       "foreign_mode_writer", "rival_server",   "non_ros_writer",
-                                      "non_ros_reader",      "unauthenticated"};
+                                      "non_ros_reader",      "unauthenticated", "sequence_jump"};
 
 // The part whose mode the service steers; empty = it is no such service.
 absl::string_view PartOf(absl::string_view service) {
@@ -185,7 +187,23 @@ void Findings::OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns) {
   glimpses_[endpoint.guid] = {now_ns, std::move(topic.name)};
 }
 
+void Findings::OnSequenceJump(const Finding& jump) {
+  if (jumps_.contains(jump.guid)) return;
+  if (jumps_.size() >= kJumpsMax) {
+    ++dropped_;
+    return;
+  }
+  jumps_[jump.guid] = jump;
+  dirty_ = true;
+}
+
+void Findings::OnParticipantGone(const Guid& participant) {
+  dirty_ |= absl::erase_if(
+                jumps_, [&](const auto& each) { return each.first.SamePrefix(participant); }) > 0;
+}
+
 void Findings::OnEndpointGone(const Guid& endpoint) {
+  dirty_ |= jumps_.erase(endpoint) > 0;
   const auto it = glimpses_.find(endpoint);
   if (it == glimpses_.end()) return;
   const auto [seen_ns, service] = std::move(it->second);
@@ -461,6 +479,15 @@ void Findings::CollectStrangers(int64_t now_ns, WantedMap& wanted) {
   }
 }
 
+void Findings::CollectJumps(WantedMap& wanted) {
+  for (const auto& [guid, jump] : jumps_) {
+    Wanted* fresh = Want({kSequenceJump, guid, ""}, 0, wanted);
+    if (fresh == nullptr) continue;
+    fresh->finding = jump;
+    fresh->finding.detail = absl::StrCat(Describe(guid.Participant()), ": ", jump.detail);
+  }
+}
+
 Findings::WantedMap Findings::Collect(int64_t now_ns) {
   WantedMap wanted;
   fresh_ = {};
@@ -470,6 +497,7 @@ Findings::WantedMap Findings::Collect(int64_t now_ns) {
   CollectRivals(wanted);
   CollectNonRos(wanted);
   CollectStrangers(now_ns, wanted);
+  CollectJumps(wanted);
   for (auto& [key, each] : wanted) {
     each.finding.kind = kKindNames[key.kind];
     if (each.finding.detail.size() > kFindingDetailBytesMax) {

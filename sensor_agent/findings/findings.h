@@ -19,6 +19,8 @@
 // | non_ros_reader      | a participant reads a ROS topic, none of those that may   | foreign     |
 // |                     | be read so, and no node claims its reader                 | grace       |
 // | unauthenticated     | with DDS Security: a participant shows no endpoint        | handshake   |
+// | sequence_jump       | a writer's sequence numbers jumped as no honest writer's  | at once     |
+// |                     | do, until it is discovered again                          |             |
 //
 // "At once" is after the graph step that shows it, so never before discovery has settled.
 // A node that died without farewell and was started again is a duplicate until its lease ends.
@@ -75,6 +77,10 @@ class Findings {
   // As discovered, before the graph step that shows it, if one does: a client may be gone by then.
   void OnEndpointSeen(const EndpointFact& endpoint, int64_t now_ns);
   void OnEndpointGone(const ros2::Guid& endpoint);
+  // The numbers of `jump.guid`, a writer that discovery shows, jumped: stands until it or its
+  // participant has gone. With its node and topic, if it has them, and what happened as `detail`.
+  void OnSequenceJump(const Finding& jump);
+  void OnParticipantGone(const ros2::Guid& participant);
   // What GraphBuilder::NodesClaimed said of a claim published by the endpoint `writer`.
   void OnClaim(const ros2::Guid& writer, const absl::Status& taken, int64_t now_ns);
   // As the server says. `parts`: full names.
@@ -109,6 +115,7 @@ class Findings {
     kNonRosWriter,
     kNonRosReader,
     kUnauthenticated,
+    kSequenceJump,
     kKinds
   };
   struct Key {
@@ -184,6 +191,7 @@ class Findings {
   void CollectRivals(WantedMap& wanted);
   void CollectNonRos(WantedMap& wanted);
   void CollectStrangers(int64_t now_ns, WantedMap& wanted);
+  void CollectJumps(WantedMap& wanted);
   // `key` stands. Where to say what it is, unless it was told already or too many are new.
   Wanted* Want(const Key& key, int64_t due_ns, WantedMap& wanted);
   std::string Describe(const ros2::Guid& participant) const;
@@ -212,6 +220,7 @@ class Findings {
   absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> glimpses_;
   // By participant: when and what.
   absl::btree_map<ros2::Guid, std::pair<int64_t, std::string>> false_claims_;
+  absl::btree_map<ros2::Guid, Finding> jumps_;
 
   absl::btree_map<Key, Held> held_;
   std::array<Window, kKinds> windows_;

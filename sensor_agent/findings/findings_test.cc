@@ -668,6 +668,19 @@ TEST_F(FindingsTest, SnapshotKeepsWhatStandsAndEndsWhatIsNotInIt) {
       << "since it was first seen";
 }
 
+TEST_F(FindingsTest, AJumpOfNumbersStandsUntilItsWriterOrParticipantGoes) {
+  Step(Process(1));
+  for (const uint8_t number : {2, 3, 2}) {
+    findings_->OnSequenceJump({.guid = EndpointGuid(1, number), .topic = "/scan"});
+  }
+  EXPECT_THAT(Poll(), ElementsAre(Begins("sequence_jump", EndpointGuid(1, 2)),
+                                  Begins("sequence_jump", EndpointGuid(1, 3))));
+  findings_->OnEndpointGone(EndpointGuid(1, 2));
+  EXPECT_THAT(Poll(), ElementsAre(Ends("sequence_jump", EndpointGuid(1, 2))));
+  findings_->OnParticipantGone(ParticipantGuid(1));
+  EXPECT_THAT(Poll(), ElementsAre(Ends("sequence_jump", EndpointGuid(1, 3))));
+}
+
 TEST_F(FindingsTest, LongTextIsCut) {
   Step(Process(1));
   findings_->OnClaim(EndpointGuid(1, 1), absl::PermissionDeniedError(std::string(5'000, 'x')),

@@ -2,6 +2,10 @@
 
 #include <algorithm>
 #include <optional>
+#include <string>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
 
 namespace rips::sensor {
 
@@ -56,6 +60,23 @@ uint64_t MessageFlow::GraphVersion(const Guid& guid, Writer& writer) const {
   return writer.graph_version;
 }
 
+std::string MessageFlow::WhyImpossible(const Sample& sample, const Writer& writer) {
+  const uint64_t number = sample.sequence;
+  if (writer.newest == 0) {
+    return number > kFirstNumberMax ? absl::StrCat("its first number is ", number) : "";
+  }
+  // A writer that keeps all it wrote may send it to a new reader from the start.
+  const bool history = sample.reader->latched && sample.reader != writer.reader;
+  if (number < writer.newest) {
+    const uint64_t highest = writer.seen.highest();
+    const bool back = !history && highest > number && highest - number > kNumbersSlack;
+    return back ? absl::StrCat("its numbers went back from ", highest, " to ", number) : "";
+  }
+  const uint64_t rise_max = RiseMax(kNumbersPerSecond, sample.received_ns - writer.newest_ns);
+  if (number - writer.newest <= rise_max) return "";
+  return absl::StrCat("its numbers jumped from ", writer.newest, " to ", number);
+}
+
 void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
   MessageSeen message{.boottime_ns = sample.received_ns,
                       .writer_sequence = sample.sequence,
@@ -66,18 +87,21 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
   const Endpoint& endpoint = writer.source->writer;
   const bool read_elsewhere = Latched(endpoint) && !sample.reader->latched &&
                               endpoint.visibility != ros2::Visibility::kNotVisible;
-  const bool repeated = sample.sequence != 0 && sample.sequence <= writer.highest_sequence;
+  const bool repeated = sample.sequence != 0 && writer.seen.Has(sample.sequence);
   if (read_elsewhere || repeated) {
     ++counters_.duplicates;
     return;
   }
   if (sample.sequence != 0) {
-    uint64_t missing = sample.sequence - writer.highest_sequence - 1;
+    if (std::string why = WhyImpossible(sample, writer); !why.empty()) {
+      output.jumps.push_back({.writer = sample.writer, .detail = std::move(why)});
+    }
+    uint64_t missing = sample.sequence > writer.newest ? sample.sequence - writer.newest - 1 : 0;
     const uint64_t counted = std::min(missing, writer.queue_lost);
     writer.queue_lost -= counted;
     missing -= counted;
     const bool resumed = sample.reader->resumed && sample.reader != writer.reader;
-    if (writer.highest_sequence != 0 && missing > 0 && !resumed) {
+    if (writer.newest != 0 && missing > 0 && !resumed) {
       output.losses.push_back({.cause = LossCause::kDdsGap,
                                .topic = sample.reader->topic,
                                .source = writer.source,
@@ -85,7 +109,9 @@ void MessageFlow::Run(const Sample& sample, Writer& writer, Output& output) {
                                .first_boottime_ns = sample.received_ns,
                                .last_boottime_ns = sample.received_ns});
     }
-    writer.highest_sequence = sample.sequence;
+    writer.seen.Add(sample.sequence);
+    writer.newest = sample.sequence;
+    writer.newest_ns = sample.received_ns;
     writer.reader = sample.reader;
   }
   if (endpoint.node.empty()) ++counters_.unattributed;
@@ -166,6 +192,8 @@ void MessageFlow::WriterGone(const Guid& guid, int64_t now_ns) {
     it = writers_.emplace(guid, std::make_unique<Writer>()).first;
   }
   Writer& writer = *it->second;
+  // If it comes back its numbers may begin again, and mean other samples: better twice than never.
+  writer.seen = {};
   if (writer.source == nullptr && wrote && !known->pending) {
     writer.graph_version = graph_->VersionShowing(guid).value_or(0);
     writer.source = std::make_shared<const MessageSource>(
@@ -197,7 +225,7 @@ void MessageFlow::Bury(int64_t now_ns) {
 
 uint64_t MessageFlow::HighestSequence(const ros2::Guid& writer) const {
   const auto it = writers_.find(writer);
-  return it == writers_.end() ? 0 : it->second->highest_sequence;
+  return it == writers_.end() ? 0 : it->second->seen.highest();
 }
 
 int64_t MessageFlow::NextDue() const {

@@ -1,9 +1,10 @@
 // From received samples to observations: every message attributed to its writer's node, each once,
 // and gaps in a writer's sequence reported.
 //
-// A writer's sequence is remembered as long as the writer lives, also while its topic is not read.
+// A writer's sequence is remembered until the writer has gone, also while its topic is not read.
 // So when a topic is read anew and a latched writer sends its history again, what was judged before
 // is a duplicate; what is newer is judged now, and what lies between and was not kept is no loss.
+// The writer chooses its numbers: one that is lower than others and has not come is judged, too.
 //
 // A sample whose writer is still without a node waits until the graph attributes it or the grace is
 // over; then it runs as it is. Samples of one writer keep their order.
@@ -31,6 +32,8 @@
 #include "absl/container/btree_set.h"
 #include "absl/container/flat_hash_map.h"
 #include "sensor_agent/graph/graph_builder.h"
+#include "sensor_agent/messages/seen_numbers.h"
+#include "sensor_agent/messages/sequence_jump.h"
 #include "sensor_agent/outbox/observation.h"
 #include "services/ros2/guid.h"
 
@@ -81,6 +84,8 @@ class MessageFlow {
   struct Output {
     std::vector<MessageSeen> messages;
     std::vector<Loss> losses;
+    // At most one for each sample.
+    std::vector<SequenceJump> jumps;
   };
 
   // `graph` is not owned and outlives this.
@@ -112,7 +117,11 @@ class MessageFlow {
     uint64_t graph_version = 0;
     // Of the graph, when the newest version sent showed the writer; 0 = must look again.
     uint64_t shown_revision = 0;
-    uint64_t highest_sequence = 0;
+    // That have run or were duplicates, since it was discovered.
+    SeenNumbers seen;
+    // Of the newest sample that was not a duplicate: its number, 0 = none yet, and when it came.
+    uint64_t newest = 0;
+    int64_t newest_ns = 0;
     // Missing samples that are counted already.
     uint64_t queue_lost = 0;
     // Of the newest sample that was not a duplicate.
@@ -122,6 +131,8 @@ class MessageFlow {
   };
 
   bool MustWait(const Sample& sample, const Writer& writer) const;
+  // What is impossible in the number of `sample`, which has not come before; empty = nothing.
+  static std::string WhyImpossible(const Sample& sample, const Writer& writer);
   void Run(const Sample& sample, Writer& writer, Output& output);
   void RunFront(Writer& writer, Output& output);
   void Introduce(const Sample& sample, Writer& writer, bool& urgent);

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <array>
+#include <optional>
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
@@ -11,6 +12,7 @@
 #include "dds/ddsi/ddsi_serdata.h"
 #include "services/base/status_macros.h"
 #include "services/dds/qos.h"
+#include "services/dds/writer_numbers.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/mutex.h"
 #include "services/runtime/real_clock.h"
@@ -184,6 +186,16 @@ std::vector<ros2::Guid> RawReader::MatchedWriters() const {
     if (!guid.none()) writers.push_back(guid);
   }
   return writers;
+}
+
+std::optional<WriterNumbers> RawReader::NumbersOf(const ros2::Guid& writer) const {
+  rips_dds_numbers numbers;
+  if (!rips_dds_numbers_of(impl_->topic.type, writer.bytes.data(), &numbers)) return std::nullopt;
+  return WriterNumbers{.next = numbers.next, .last = numbers.last, .discarded = numbers.discarded};
+}
+
+bool RawReader::ForgetNumbersOf(const ros2::Guid& writer) const {
+  return rips_dds_forget_numbers(impl_->topic.type, writer.bytes.data());
 }
 
 }  // namespace rips::dds

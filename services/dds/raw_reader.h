@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -69,6 +70,13 @@ struct RawSample {
   uint64_t related_sequence = 0;
 };
 
+// What the middleware holds of a writer's sequence numbers, for all its readers in this process.
+struct WriterNumbers {
+  uint64_t next = 0;       // the lowest that it does not drop as old
+  uint64_t last = 0;       // the highest that the writer is known to have written
+  uint64_t discarded = 0;  // bytes of samples that it dropped
+};
+
 // Runs on Cyclone's receive threads (unicast and multicast), or on the writing thread for writers
 // of this process; calls for one reader never overlap. Copy, enqueue, return: no lock that others
 // hold for long, no I/O, no call that creates or deletes DDS entities.
@@ -91,6 +99,14 @@ class RawReader {
   // Writers that send to this reader now; one that discovery shows and that is missing here is
   // not visible to us.
   std::vector<ros2::Guid> MatchedWriters() const;
+
+  // Of any writer that discovery shows in this reader's domain, also of discovery itself
+  // (SEDP, entity ids 0x3c2 and 0x4c2); nullopt if there is no such writer.
+  std::optional<WriterNumbers> NumbersOf(const ros2::Guid& writer) const;
+  // As if nothing had been received of that writer, by any reader of this process: lower numbers
+  // are delivered, and a reliable writer is asked for all that it keeps, which comes again. False
+  // if there is no such writer.
+  bool ForgetNumbersOf(const ros2::Guid& writer) const;
 
  private:
   struct Impl;
