@@ -5,8 +5,9 @@
 // Seconds in which there was something on the wire are looked at one by one, kLateNs after their
 // end. A sample counts once, however often it is sent: history and retransmissions that we have had
 // are heard. Where so many are lost that their numbers are not at hand any more, samples are
-// counted instead. Less than half heard, in kSecondsMissed such seconds in a row and kSamplesMissed or
-// more in all: samples go past us. That is over with the first second in which half of them come.
+// counted instead. Less than half heard, in kSecondsMissed such seconds in a row and kSamplesMissed
+// or more in all: samples go past us. That is over with the first second in which half of them
+// come.
 #ifndef RIPS_SENSOR_AGENT_WIRE_RECEPTION_H_
 #define RIPS_SENSOR_AGENT_WIRE_RECEPTION_H_
 
