@@ -224,10 +224,11 @@ absl::StatusOr<std::unique_ptr<Agent>> Agent::Create(const SensorConfig& config,
   const bool joined = agent->domain_ != nullptr;
   const ros2::Guid own = joined ? agent->domain_->own() : ros2::Guid();
   if (config.wire && joined) {
-    RIPS_ASSIGN_OR_RETURN(agent->wire_,
-                          wire::WireInput::Create(
-                              {.socket = config.wire_socket, .domain = config.dds.domain},
-                              [raw] { raw->Wake(); }, metrics));
+    RIPS_ASSIGN_OR_RETURN(
+        agent->wire_,
+        wire::WireInput::Create(
+            {.socket = config.wire_socket, .domain = config.dds.domain, .secured = secured},
+            [raw] { raw->Wake(); }, metrics));
   }
   const int64_t grace_ns = absl::ToInt64Nanoseconds(config.watch.attribution_grace);
   const int64_t settle_ns = absl::ToInt64Nanoseconds(config.watch.settle);
@@ -439,7 +440,7 @@ void Agent::ReportReaders(int64_t now_ns) {
 void Agent::PollCoverage(int64_t now_ns) {
   const std::vector<Coverage> all = domain_->topics().TakeCoverage(now_ns);
   for (const Coverage& news : all) {
-    const std::string why = ros2::Printable(news.not_visible);
+    std::string why = ros2::Printable(news.not_visible);
     const auto left_out = why.empty() ? std::nullopt : bus_logs_.Admit("unreadable writers");
     if (left_out.has_value()) {
       const std::optional<ros2::Endpoint> writer = graph_->Find(news.writer);
@@ -448,6 +449,7 @@ void Agent::PollCoverage(int64_t now_ns) {
                                           {"error", why},
                                           {"left_out", *left_out}});
     }
+    if (why.empty() && wire_ != nullptr) why = wire_->NotVisible(news.writer);
     graph_->SetNotVisible(news.writer, why, now_ns);
   }
   if (!all.empty()) ReportReaders(now_ns);
@@ -590,8 +592,12 @@ void Agent::PollSamples(int64_t now_ns, Observations& seen) {
   // After the samples were taken, and before they are looked at.
   for (const QueueLoss& loss : domain_->topics().TakeLosses()) {
     flow_->QueueLost(loss.writer, loss.topic, loss.count, now_ns, output);
+    if (wire_ != nullptr) wire_->OnSamplesLost();
   }
-  for (Sample& sample : samples) flow_->Take(std::move(sample), now_ns, output);
+  for (Sample& sample : samples) {
+    if (wire_ != nullptr) wire_->OnSample(sample.writer, sample.sequence);
+    flow_->Take(std::move(sample), now_ns, output);
+  }
   if (samples.size() == kSamplesAtOnce) woken_ = true;  // there is more
   seen.messages = std::move(output.messages);
   for (const SequenceJump& jump : output.jumps) OnSequenceJump(jump);
@@ -658,18 +664,30 @@ void Agent::SumFindings(int64_t now_ns, Observations& seen) {
 
 void Agent::PollWire(int64_t now_ns, Observations& seen) {
   if (wire_ == nullptr) return;
-  for (ControlObservation& finding : wire_->Poll(*graph_, *flow_, now_ns)) {
+  for (ControlObservation& finding : wire_->Poll(*graph_, now_ns)) {
     seen.findings.push_back(std::move(finding));
   }
+  for (const wire::Jump& jump : wire_->TakeJumps()) {
+    OnSequenceJump({.writer = jump.writer, .detail = jump.detail});
+  }
+  for (const Coverage& news : wire_->TakeCoverage()) {
+    // What TopicWatcher knows against it stands.
+    if (news.not_visible.empty() && !domain_->topics().Reads(news.writer)) continue;
+    graph_->SetNotVisible(news.writer, news.not_visible, now_ns);
+  }
+  for (MessageSeen& message : wire_->TakeUnseen(*graph_, now_ns)) {
+    seen.messages.push_back(std::move(message));
+  }
+  if (wire_->WantsRediscovery()) Rediscover(now_ns);
   if (const bool visible = wire_->visible(now_ns); visible != wire_visible_) {
     wire_visible_ = visible;
     uplink_->SetKindVisible(kUnicastOnlyWriters, visible);
+    uplink_->SetKindVisible(kTwoContents, visible);
   }
-  const std::string blind = wire_->Blind(now_ns);
+  std::vector<std::string> blind = wire_->Blind(now_ns);
   if (blind == wire_blind_) return;
   wire_blind_ = blind;
-  uplink_->SetBlind("wire",
-                    blind.empty() ? std::vector<std::string>() : std::vector<std::string>{blind});
+  uplink_->SetBlind("wire", std::move(blind));
 }
 
 void Agent::CountLimits(int64_t now_ns, Observations& seen) {

@@ -169,7 +169,7 @@ class Agent {
   // A tap reports.
   bool wire_visible_ = false;
   // Why the tap does not see what it should, as reported last.
-  std::string wire_blind_;
+  std::vector<std::string> wire_blind_;
   // There are participants with DDS Security that show us nothing.
   bool secured_hidden_ = false;
   // End of a renewed discovery; 0 = none is going on.

@@ -14,9 +14,10 @@
 
 namespace rips::sensor {
 
-// Kinds of traffic that may not be visible: the first without a tap; the next two never; the last
-// without DDS Security.
+// Kinds of traffic that may not be visible: the first two without a tap; the next two never; the
+// last without DDS Security.
 inline constexpr char kUnicastOnlyWriters[] = "unicast-only writers";
+inline constexpr char kTwoContents[] = "messages with two contents under one number";
 inline constexpr char kServiceRequests[] = "service requests";
 inline constexpr char kSharedMemory[] = "participants that speak shared memory alone";
 inline constexpr char kSecuredParticipants[] = "participants with DDS Security";
@@ -45,7 +46,8 @@ class SensorStatus {
  private:
   void MarkReported();
 
-  std::vector<std::string> not_visible_ = {kUnicastOnlyWriters, kServiceRequests, kSharedMemory};
+  std::vector<std::string> not_visible_ = {kUnicastOnlyWriters, kTwoContents, kServiceRequests,
+                                           kSharedMemory};
   std::vector<std::string> not_visible_reported_;
   // By input; none is without a reason.
   std::map<std::string, std::vector<std::string>> blind_;

@@ -12,6 +12,8 @@ namespace rips::wire {
 namespace {
 
 constexpr uint32_t kU16Max = std::numeric_limits<uint16_t>::max();
+// Of RTPS; it leaves room to count on.
+constexpr uint64_t kSequenceMax = std::numeric_limits<int64_t>::max();
 
 std::string ToBytes(const Address& address) {
   return std::string(address.bytes.begin(), address.bytes.end());
@@ -42,6 +44,20 @@ void Encode(const Traffic& traffic, rips::v1::WireTraffic& wire) {
     to.set_packets(destination.packets);
   }
   wire.set_elsewhere(traffic.elsewhere);
+  wire.set_data_least(traffic.data_least);
+  wire.set_heartbeat_least(traffic.heartbeat_least);
+  wire.set_dropped_last(traffic.dropped_last);
+  for (const NumberRun& run : traffic.numbers.runs()) {
+    rips::v1::WireNumbers& numbers = *wire.add_numbers();
+    numbers.set_first(run.first);
+    numbers.set_last(run.last);
+  }
+  if (traffic.conflicts == 0) return;
+  rips::v1::WireConflict& conflict = *wire.mutable_conflict();
+  conflict.set_count(traffic.conflicts);
+  conflict.set_number(traffic.conflict_number);
+  conflict.set_size(traffic.conflict_size);
+  Encode(traffic.conflict_to, *conflict.mutable_to());
 }
 
 rips::v1::WireReport EncodeHead(const TapReport& report) {
@@ -104,6 +120,26 @@ absl::StatusOr<Traffic> Decode(const rips::v1::WireTraffic& wire) {
     traffic.destinations.push_back({.to = locator, .packets = to.packets()});
   }
   traffic.elsewhere = wire.elsewhere();
+  traffic.data_least = wire.data_least();
+  traffic.heartbeat_least = wire.heartbeat_least();
+  traffic.dropped_last = wire.dropped_last();
+  for (const uint64_t number : {traffic.data_last, traffic.heartbeat_last, traffic.dropped_last}) {
+    if (number > kSequenceMax) return OutOfRange("sequence number");
+  }
+  if (static_cast<size_t>(wire.numbers_size()) > kRunsMax) {
+    return OutOfRange("number of runs");
+  }
+  for (const rips::v1::WireNumbers& run : wire.numbers()) {
+    if (run.first() == 0 || run.last() < run.first() || run.last() > kSequenceMax) {
+      return OutOfRange("sequence number");
+    }
+    traffic.numbers.Add({.first = run.first(), .last = run.last()});
+  }
+  if (!wire.has_conflict()) return traffic;
+  traffic.conflicts = wire.conflict().count();
+  traffic.conflict_number = wire.conflict().number();
+  traffic.conflict_size = wire.conflict().size();
+  RIPS_ASSIGN_OR_RETURN(traffic.conflict_to, Decode(wire.conflict().to()));
   return traffic;
 }
 

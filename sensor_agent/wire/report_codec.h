@@ -15,7 +15,7 @@ namespace rips::wire {
 // Bytes of one report on the socket; a longer one is refused.
 inline constexpr size_t kReportBytesMax = 64 * 1024;
 // Traffic of one report: such a report is always shorter than that.
-inline constexpr size_t kReportTrafficMax = 96;
+inline constexpr size_t kReportTrafficMax = 64;
 inline constexpr size_t kLocalAddressesMax = 256;
 
 // `report` in as many serialized WireReports as needed, at least one. Local addresses beyond
@@ -23,7 +23,7 @@ inline constexpr size_t kLocalAddressesMax = 256;
 std::vector<std::string> EncodeReports(const TapReport& report);
 
 // InvalidArgument: no WireReport, a limit exceeded, a GUID or address of the wrong length, a port,
-// vendor or time out of range. The text is safe to log.
+// vendor, time or sequence number out of range. The text is safe to log.
 absl::StatusOr<TapReport> DecodeReport(absl::string_view bytes);
 
 }  // namespace rips::wire

@@ -14,12 +14,17 @@ namespace {
 using ::testing::SizeIs;
 
 constexpr uint64_t kMax = std::numeric_limits<uint64_t>::max();
+constexpr uint64_t kSequenceMax = std::numeric_limits<int64_t>::max();
 
 // With the greatest values there are, as long as a report can be.
 Traffic Greatest(uint32_t number) {
   Address address;
   address.bytes.fill(0xff);
   const Locator locator = {.address = address, .port = 65'535};
+  NumberSet numbers(kRunsMax, /*keep=*/true);
+  for (uint64_t i = 0; i < kRunsMax; ++i) {
+    numbers.Add(NumberRun{.first = kSequenceMax - 3 * i - 1, .last = kSequenceMax - 3 * i});
+  }
   return {.writer = TestGuid(1, number),
           .source = locator,
           .vendor = 65'535,
@@ -29,12 +34,20 @@ Traffic Greatest(uint32_t number) {
           .heartbeat = kMax,
           .directed = kMax,
           .secured = kMax,
-          .data_last = kMax,
-          .heartbeat_last = kMax,
+          .data_last = kSequenceMax,
+          .heartbeat_last = kSequenceMax,
           .first_packet = kMax,
           .last_packet = kMax,
           .destinations = std::vector<Destination>(kDestinationsMax, {locator, kMax}),
-          .elsewhere = kMax};
+          .elsewhere = kMax,
+          .data_least = kSequenceMax,
+          .heartbeat_least = kSequenceMax,
+          .dropped_last = kSequenceMax,
+          .numbers = numbers,
+          .conflicts = kMax,
+          .conflict_number = kSequenceMax,
+          .conflict_size = std::numeric_limits<uint32_t>::max(),
+          .conflict_to = locator};
 }
 
 TapReport Report(size_t traffic) {
@@ -114,6 +127,20 @@ TEST(ReportCodecTest, RefusesWhatMakesNoSense) {
        [](auto& wire) {
          *wire.mutable_traffic(0)->add_destinations() = wire.traffic(0).destinations(0);
        }},
+      {"the sequence number of a report is out of range",
+       [](auto& wire) { wire.mutable_traffic(0)->set_data_last(uint64_t{1} << 63); }},
+      {"the sequence number of a report is out of range",
+       [](auto& wire) { wire.mutable_traffic(0)->set_dropped_last(kMax); }},
+      {"the sequence number of a report is out of range",
+       [](auto& wire) { wire.mutable_traffic(0)->mutable_numbers(0)->set_last(kMax); }},
+      {"the sequence number of a report is out of range",
+       [](auto& wire) { wire.mutable_traffic(0)->mutable_numbers(0)->set_last(1); }},
+      {"the sequence number of a report is out of range",
+       [](auto& wire) { wire.mutable_traffic(0)->mutable_numbers(0)->set_first(0); }},
+      {"the number of runs of a report is out of range",
+       [](auto& wire) { *wire.mutable_traffic(0)->add_numbers() = wire.traffic(0).numbers(0); }},
+      {"an address has 16 bytes, not 0",
+       [](auto& wire) { wire.mutable_traffic(0)->mutable_conflict()->clear_to(); }},
       {"the time of a report is out of range",
        [](auto& wire) { wire.set_boottime_ns(uint64_t{1} << 63); }},
       {"the number of local addresses of a report is out of range",

@@ -19,10 +19,10 @@ class RtpsBytes {
     bytes_ = std::string("RTPS\x02\x01\x01\x10", 8) + sender.ToBytes().substr(0, 12);
   }
 
-  // `body` as it is; a length of -1 = that of the body.
-  RtpsBytes& Submessage(uint8_t kind, const std::string& body, int length = -1) {
+  // `body` as it is; a length of -1 = that of the body. `flags` but for the byte order.
+  RtpsBytes& Submessage(uint8_t kind, const std::string& body, int length = -1, int flags = 0) {
     bytes_ += static_cast<char>(kind);
-    bytes_ += order_ == ByteOrder::kLittle ? '\x01' : '\x00';
+    bytes_ += static_cast<char>(flags | (order_ == ByteOrder::kLittle ? 1 : 0));
     bytes_ += U16(static_cast<uint16_t>(length < 0 ? body.size() : static_cast<size_t>(length)));
     bytes_ += body;
     return *this;
@@ -32,10 +32,28 @@ class RtpsBytes {
     return Submessage(
         0x15, U16(0) + U16(16) + Entity(reader) + EntityOf(writer) + Sequence(sequence) + payload);
   }
-  RtpsBytes& DataFrag(const ros2::Guid& writer, int64_t sequence, uint32_t reader = 0) {
+  // DATA with a payload, behind `qos` if that is not empty (Parameter).
+  RtpsBytes& Sample(const ros2::Guid& writer, int64_t sequence, const std::string& payload,
+                    const std::string& qos = "") {
+    return Submessage(
+        0x15, U16(0) + U16(16) + Entity(0) + EntityOf(writer) + Sequence(sequence) + qos + payload,
+        -1, qos.empty() ? 4 : 6);
+  }
+  // One of inline QoS; id 1 ends it.
+  std::string Parameter(uint16_t id, const std::string& value) const {
+    return U16(id) + U16(static_cast<uint16_t>(value.size())) + value;
+  }
+  RtpsBytes& DataFrag(const ros2::Guid& writer, int64_t sequence, uint32_t reader = 0,
+                      const std::string& fragment = "fragment", uint32_t number = 1,
+                      uint16_t size = 1344) {
     return Submessage(0x16, U16(0) + U16(28) + Entity(reader) + EntityOf(writer) +
-                                Sequence(sequence) + U32(1) + U16(1) + U16(1344) + U32(4000) +
-                                "fragment");
+                                Sequence(sequence) + U32(number) + U16(1) + U16(size) + U32(4000) +
+                                fragment);
+  }
+  // `start` to `base` - 1 and what the list of `bits` bits names will not come.
+  RtpsBytes& Gap(const ros2::Guid& writer, int64_t start, int64_t base, uint32_t bits = 0) {
+    return Submessage(0x08, Entity(0) + EntityOf(writer) + Sequence(start) + Sequence(base) +
+                                U32(bits) + std::string(bits / 8, '\xff'));
   }
   RtpsBytes& Heartbeat(const ros2::Guid& writer, int64_t first, int64_t last, uint32_t reader = 0) {
     return Submessage(

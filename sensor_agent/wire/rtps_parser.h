@@ -1,5 +1,5 @@
-// The headers of an RTPS datagram (DDSI-RTPS 2.5 §8.3, §9.4): who wrote what to whom. Payloads,
-// inline QoS and everything else are passed over unread.
+// The headers of an RTPS datagram (DDSI-RTPS 2.5 §8.3, §9.4): who wrote what to whom, and where the
+// content of a sample stands. Contents and everything else are passed over unread.
 #ifndef RIPS_SENSOR_AGENT_WIRE_RTPS_PARSER_H_
 #define RIPS_SENSOR_AGENT_WIRE_RTPS_PARSER_H_
 
@@ -13,15 +13,25 @@
 namespace rips::wire {
 
 struct RtpsSubmessage {
-  enum class Kind { kData, kDataFrag, kHeartbeat };
+  enum class Kind { kData, kDataFrag, kHeartbeat, kGap };
   Kind kind = Kind::kData;
   // As INFO_SRC says, otherwise as the header of the datagram does.
   ros2::Guid writer;
   // It names one reader.
   bool directed = false;
   // Sequence number of DATA and DATA_FRAG, at least 1; the last one a HEARTBEAT says there is, 0 =
-  // none yet.
+  // none yet; of GAP the same as `dropped`.
   uint64_t sequence = 0;
+  // Of HEARTBEAT and GAP: numbers up to this one will not come (any more), at least 0.
+  uint64_t dropped = 0;
+  // Of DATA and DATA_FRAG: the serialized payload as far as it is at hand, of DATA_FRAG the first
+  // fragment of the submessage; a view into what was parsed. Its true size, 0 = DATA without one.
+  absl::string_view content;
+  uint32_t content_size = 0;
+  // Of DATA_FRAG, from 1; otherwise 0.
+  uint32_t fragment = 0;
+  // Inline QoS that could not be passed over: nothing is known of the content.
+  bool content_unknown = false;
 
   friend bool operator==(const RtpsSubmessage&, const RtpsSubmessage&) = default;
 };
@@ -56,6 +66,8 @@ enum class EntityClass { kUser, kVendor, kBuiltin };
 EntityClass ClassOf(const ros2::Guid& entity);
 // The writer with which every participant announces itself, entity id 000100c2.
 bool IsParticipantWriter(const ros2::Guid& writer);
+// A user's writer of a topic with keys (§9.3.1.2).
+bool HasKeys(const ros2::Guid& writer);
 // Entity id zero.
 bool NamesNoEntity(const ros2::Guid& guid);
 

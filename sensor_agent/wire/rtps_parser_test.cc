@@ -31,19 +31,26 @@ RtpsDatagram Parse(const std::string& bytes) {
 
 TEST(RtpsParserTest, ReadsWriterReaderAndSequenceInBothByteOrders) {
   for (const ByteOrder order : {ByteOrder::kLittle, ByteOrder::kBig}) {
-    const RtpsDatagram datagram = Parse(RtpsBytes(kSender, order)
-                                            .InfoTimestamp()
-                                            .Data(kWriter, 7)
-                                            .DataFrag(kWriter, 0x1'0000'0002, kReader)
-                                            .Heartbeat(kWriter, 1, 9)
-                                            .bytes());
+    const std::string bytes = RtpsBytes(kSender, order)
+                                  .InfoTimestamp()
+                                  .Data(kWriter, 7)
+                                  .DataFrag(kWriter, 0x1'0000'0002, kReader)
+                                  .Heartbeat(kWriter, 1, 9)
+                                  .bytes();
+    const RtpsDatagram datagram = Parse(bytes);
 
     EXPECT_EQ(datagram.sender, kSender);
     EXPECT_EQ(datagram.vendor, 0x0110);
     EXPECT_FALSE(datagram.malformed || datagram.cut || datagram.secured);
     EXPECT_THAT(datagram.submessages,
                 ElementsAre(RtpsSubmessage{Kind::kData, kWriter, false, 7},
-                            RtpsSubmessage{Kind::kDataFrag, kWriter, true, 0x1'0000'0002},
+                            RtpsSubmessage{.kind = Kind::kDataFrag,
+                                           .writer = kWriter,
+                                           .directed = true,
+                                           .sequence = 0x1'0000'0002,
+                                           .content = "fragment",
+                                           .content_size = 8,
+                                           .fragment = 1},
                             RtpsSubmessage{Kind::kHeartbeat, kWriter, false, 9}));
   }
 }
@@ -170,8 +177,12 @@ TEST(RtpsParserTest, CutAnywhereGivesNothingThatWasNotThere) {
     ASSERT_TRUE(ParseRtps(absl::string_view(whole).substr(0, bytes), whole.size(), datagram));
     ASSERT_LE(datagram.submessages.size(), all.submessages.size());
     EXPECT_FALSE(datagram.malformed) << bytes;
-    EXPECT_TRUE(std::equal(datagram.submessages.begin(), datagram.submessages.end(),
-                           all.submessages.begin()));
+    for (size_t i = 0; i < datagram.submessages.size(); ++i) {
+      // Of the last one the content may be cut.
+      RtpsSubmessage expected = all.submessages[i];
+      expected.content = expected.content.substr(0, datagram.submessages[i].content.size());
+      EXPECT_EQ(datagram.submessages[i], expected) << bytes;
+    }
     ASSERT_TRUE(ParseRtps(absl::string_view(whole).substr(0, bytes), bytes, datagram));
     EXPECT_FALSE(datagram.cut) << bytes;
   }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <random>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -21,14 +22,27 @@ namespace {
 constexpr absl::Duration kBusyInterval = absl::Milliseconds(2);
 // This often drops are logged.
 constexpr int64_t kLookIntervalNs = 5 * kNanosPerSecond;
-// This often the addresses of the host are read: the sensor looks as often.
+// This often the addresses of the host are read: the sensor looks as often, and must know a new one
+// before the grace of what is sent from it is over.
 constexpr int64_t kAddressesIntervalNs = kNanosPerSecond;
 constexpr uint32_t kDomainMax = 232;
+
+SipKey RandomSipKey() {
+  std::random_device random;
+  const auto word = [&random] { return uint64_t{random()} << 32 | random(); };
+  SipKey key;
+  key.low = word();
+  key.high = word();
+  return key;
+}
 
 }  // namespace
 
 Tap::Tap(TapOptions options, const Clock* clock)
-    : options_(std::move(options)), clock_(clock), sender_(options_.socket) {}
+    : options_(std::move(options)),
+      clock_(clock),
+      table_(RandomSipKey()),
+      sender_(options_.socket) {}
 
 absl::StatusOr<std::unique_ptr<Tap>> Tap::Create(TapOptions options, const Clock* clock) {
   if (options.domain > kDomainMax) {
@@ -75,18 +89,19 @@ absl::Status Tap::Run(int stop_fd, const std::function<void()>& on_turn) {
     const bool some = std::any_of(fds.begin() + 1, fds.end(),
                                   [](const pollfd& each) { return each.revents != 0; });
     if (!some) continue;
-    RIPS_RETURN_IF_ERROR(Drain());
+    RIPS_RETURN_IF_ERROR(Drain(clock_->Now().boottime_ns));
     absl::SleepFor(kBusyInterval);
   }
 }
 
-absl::Status Tap::Drain() {
+absl::Status Tap::Drain(int64_t now_ns) {
   for (const auto& socket : sockets_) {
     // Bounded, so that a flood does not keep the reports back.
     constexpr int kReadsAtOnce = 64;
     for (int i = 0; i < kReadsAtOnce; ++i) {
-      RIPS_ASSIGN_OR_RETURN(const size_t count, socket->Read([this](const UdpDatagram& udp) {
-        if (ParseRtps(udp.bytes, udp.size, datagram_)) table_.Add(datagram_, udp.source, udp.to);
+      RIPS_ASSIGN_OR_RETURN(const size_t count, socket->Read([&](const UdpDatagram& udp) {
+        if (!ParseRtps(udp.bytes, udp.size, datagram_)) return;
+        table_.Add(datagram_, udp.source, udp.to, now_ns);
       }));
       if (count < PacketSocket::kReadMax) break;
     }

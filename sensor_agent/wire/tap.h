@@ -42,7 +42,7 @@ class Tap {
  private:
   Tap(TapOptions options, const Clock* clock);
 
-  absl::Status Drain();
+  absl::Status Drain(int64_t now_ns);
   void Report(int64_t now_ns);
 
   const TapOptions options_;

@@ -7,26 +7,44 @@ namespace rips::wire {
 
 namespace {
 
+void TakeLeast(uint64_t number, bool first, uint64_t& least) {
+  least = first ? number : std::min(least, number);
+}
+
 void Count(const RtpsSubmessage& submessage, Traffic& traffic) {
+  traffic.dropped_last = std::max(traffic.dropped_last, submessage.dropped);
   switch (submessage.kind) {
-    case RtpsSubmessage::Kind::kData:
-      ++traffic.data;
-      break;
-    case RtpsSubmessage::Kind::kDataFrag:
-      ++traffic.data_frag;
-      break;
+    case RtpsSubmessage::Kind::kGap:
+      return;
     case RtpsSubmessage::Kind::kHeartbeat:
+      // Zero says nothing: some send it to every new reader.
+      if (submessage.sequence > 0) {
+        TakeLeast(submessage.sequence, traffic.heartbeat_least == 0, traffic.heartbeat_least);
+      }
       ++traffic.heartbeat;
       traffic.heartbeat_last = std::max(traffic.heartbeat_last, submessage.sequence);
       return;
+    case RtpsSubmessage::Kind::kData:
+    case RtpsSubmessage::Kind::kDataFrag:
+      break;
   }
+  TakeLeast(submessage.sequence, traffic.data_least == 0, traffic.data_least);
+  ++(submessage.kind == RtpsSubmessage::Kind::kData ? traffic.data : traffic.data_frag);
   if (submessage.directed) ++traffic.directed;
   traffic.data_last = std::max(traffic.data_last, submessage.sequence);
+  traffic.numbers.Add(submessage.sequence);
+}
+
+bool IsUsersData(const RtpsSubmessage& submessage) {
+  return (submessage.kind == RtpsSubmessage::Kind::kData ||
+          submessage.kind == RtpsSubmessage::Kind::kDataFrag) &&
+         ClassOf(submessage.writer) == EntityClass::kUser;
 }
 
 }  // namespace
 
-void TrafficTable::Add(const RtpsDatagram& datagram, const Locator& source, const Locator& to) {
+void TrafficTable::Add(const RtpsDatagram& datagram, const Locator& source, const Locator& to,
+                       int64_t now_ns) {
   const uint64_t number = ++counters_.packets;
   if (datagram.malformed) ++counters_.malformed;
   if (datagram.cut) ++counters_.cut;
@@ -44,7 +62,14 @@ void TrafficTable::Add(const RtpsDatagram& datagram, const Locator& source, cons
   bool sender_named = false;
   for (const RtpsSubmessage& submessage : datagram.submessages) {
     sender_named = sender_named || submessage.writer.SamePrefix(datagram.sender);
-    if (Traffic* traffic = obtain(submessage.writer)) wire::Count(submessage, *traffic);
+    Traffic* traffic = obtain(submessage.writer);
+    if (traffic == nullptr) continue;
+    wire::Count(submessage, *traffic);
+    if (!IsUsersData(submessage) || !contents_.Differs(submessage, now_ns)) continue;
+    ++traffic->conflicts;
+    traffic->conflict_number = submessage.sequence;
+    traffic->conflict_size = submessage.content_size;
+    traffic->conflict_to = to;
   }
   if (!sender_named) obtain(datagram.sender);
   if (dropped) ++counters_.table_drops;

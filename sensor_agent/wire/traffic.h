@@ -8,14 +8,19 @@
 #include <vector>
 
 #include "absl/container/flat_hash_map.h"
+#include "sensor_agent/wire/content_table.h"
 #include "sensor_agent/wire/locator.h"
+#include "sensor_agent/wire/number_set.h"
 #include "sensor_agent/wire/rtps_parser.h"
+#include "sensor_agent/wire/sip_hash.h"
 #include "services/ros2/guid.h"
 
 namespace rips::wire {
 
 // Destinations told of one writer and source; further ones are counted together.
 inline constexpr size_t kDestinationsMax = 8;
+// Runs of sequence numbers told of one writer and source; further numbers are left out.
+inline constexpr size_t kRunsMax = 8;
 
 struct Destination {
   Locator to;
@@ -43,6 +48,14 @@ struct Traffic {
   // At most kDestinationsMax.
   std::vector<Destination> destinations;
   uint64_t elsewhere = 0;
+  uint64_t data_least = 0;
+  uint64_t heartbeat_least = 0;
+  uint64_t dropped_last = 0;
+  NumberSet numbers{kRunsMax, /*keep=*/true};
+  uint64_t conflicts = 0;
+  uint64_t conflict_number = 0;
+  uint32_t conflict_size = 0;
+  Locator conflict_to;
 
   friend bool operator==(const Traffic&, const Traffic&) = default;
 };
@@ -76,13 +89,16 @@ class TrafficTable {
     // Writers and sources of one interval. What is of others is counted in table_drops: a flood of
     // invented names does not push out those that are there.
     size_t entries = 4'096;
+    int content_buckets_log2 = ContentTable::kBucketsLog2;
   };
 
-  TrafficTable() : TrafficTable(Limits{}) {}
-  explicit TrafficTable(Limits limits) : limits_(limits) {}
+  // `key` is secret and of this process.
+  explicit TrafficTable(const SipKey& key) : TrafficTable(key, Limits{}) {}
+  TrafficTable(const SipKey& key, Limits limits)
+      : limits_(limits), contents_(key, limits.content_buckets_log2) {}
 
-  // One datagram.
-  void Add(const RtpsDatagram& datagram, const Locator& source, const Locator& to);
+  // One datagram. `now_ns` is CLOCK_BOOTTIME.
+  void Add(const RtpsDatagram& datagram, const Locator& source, const Locator& to, int64_t now_ns);
   void AddKernelDrops(uint64_t count) { counters_.kernel_drops += count; }
 
   // What came since the last call, sorted by writer and source, and begins the next interval.
@@ -103,6 +119,8 @@ class TrafficTable {
   const Limits limits_;
   TapCounters counters_;
   absl::flat_hash_map<Key, Traffic> entries_;
+  // Outlives the interval.
+  ContentTable contents_;
 };
 
 }  // namespace rips::wire

@@ -1,5 +1,8 @@
 #include "sensor_agent/wire/wire_input.h"
 
+#include <algorithm>
+#include <memory>
+#include <optional>
 #include <utility>
 #include <variant>
 
@@ -35,7 +38,7 @@ WireInput::WireInput(const WireInputOptions& options, Metrics* metrics)
           "Datagrams, reports and findings of the tap left out because of a limit")),
       connected_(metrics->AddGauge("rips_sensor_wire_connected", "A tap reports")),
       standing_(metrics->AddGauge("rips_sensor_wire_findings", "Findings of the tap that stand")),
-      watch_(WatchOptions{.domain = options.domain}),
+      watch_(WatchOptions{.domain = options.domain, .secured = options.secured}),
       socket_path_(options.socket) {}
 
 absl::StatusOr<std::unique_ptr<WireInput>> WireInput::Create(const WireInputOptions& options,
@@ -69,15 +72,24 @@ bool WireInput::visible(int64_t now_ns) const {
   return socket_->connected() && last_report_ns_ != 0 && now_ns - last_report_ns_ < kSilenceNs;
 }
 
-std::string WireInput::Blind(int64_t now_ns) {
+std::vector<std::string> WireInput::Blind(int64_t now_ns) {
+  std::vector<std::string> reasons;
+  if (watch_.MissesSome()) {
+    reasons.push_back("wire tap: a writer sends others what does not come to the sensor");
+  }
   if (visible(now_ns)) {
     away_since_ns_ = 0;
-    if (!watch_.blind()) return "";
-    return "wire tap: discovery shows more than its limits; unknown writers are not told";
+    if (watch_.blind()) {
+      reasons.push_back(
+          "wire tap: discovery shows more than its limits; unknown writers are not told");
+    }
+    return reasons;
   }
   if (away_since_ns_ == 0) away_since_ns_ = now_ns;
-  if (now_ns - away_since_ns_ < kAwayNs) return "";
-  return absl::StrCat("wire tap: no rips-wire reports at `", socket_path_, "`");
+  if (now_ns - away_since_ns_ >= kAwayNs) {
+    reasons.push_back(absl::StrCat("wire tap: no rips-wire reports at `", socket_path_, "`"));
+  }
+  return reasons;
 }
 
 void WireInput::TakeReport(const TapReport& report, int64_t now_ns) {
@@ -94,14 +106,16 @@ void WireInput::CountLimits() {
   const WatchCounters& watch = watch_.counters();
   CountSince(dropped_, watch.dropped + watch.findings_dropped + socket_->dropped(),
              dropped_counted_);
-  if (watch_.blind() && !blind_logged_) {
+  if (watch_.blind() == blind_logged_) return;
+  blind_logged_ = watch_.blind();
+  if (blind_logged_) {
     LogError("graph exceeds the tap's limits; unknown writers are not reported");
-    blind_logged_ = true;
+  } else {
+    LogInfo("graph is within the tap's limits; unknown writers are reported");
   }
 }
 
 std::vector<sensor::ControlObservation> WireInput::Poll(const sensor::GraphBuilder& graph,
-                                                        const sensor::MessageFlow& flow,
                                                         int64_t now_ns) {
   for (const Received& each : socket_->Take()) {
     if (each.connected) {
@@ -115,9 +129,9 @@ std::vector<sensor::ControlObservation> WireInput::Poll(const sensor::GraphBuild
   }
   connected_.Set(visible(now_ns) ? 1 : 0);
   std::vector<sensor::ControlObservation> observations;
-  const auto received = [&flow](const ros2::Guid& writer) { return flow.HighestSequence(writer); };
-  for (sensor::Finding& finding : watch_.Poll(graph.settled(), received, now_ns)) {
+  for (sensor::Finding& finding : watch_.Poll(graph.settled(), now_ns)) {
     SetNode(graph, finding);
+    NoteCoverage(finding);
     Log(finding.over ? LogLevel::kInfo : LogLevel::kWarning,
         finding.over ? "finding over" : "finding",
         {{"kind", finding.kind},
@@ -130,6 +144,32 @@ std::vector<sensor::ControlObservation> WireInput::Poll(const sensor::GraphBuild
   standing_.Set(static_cast<double>(watch_.standing().size()));
   CountLimits();
   return observations;
+}
+
+void WireInput::NoteCoverage(const sensor::Finding& finding) {
+  if (finding.kind != kDirectedData && finding.kind != kTwoContents) return;
+  coverage_.push_back({.writer = finding.guid, .not_visible = NotVisible(finding.guid)});
+}
+
+std::string WireInput::NotVisible(const ros2::Guid& writer) const {
+  return watch_.Misses(writer) ? "it sends others what does not come to us" : "";
+}
+
+std::vector<sensor::MessageSeen> WireInput::TakeUnseen(const sensor::GraphBuilder& graph,
+                                                       int64_t now_ns) {
+  std::vector<sensor::MessageSeen> unseen;
+  for (const SecondContent& each : watch_.TakeSecondContents()) {
+    std::optional<ros2::Endpoint> writer = graph.Find(each.writer);
+    if (!writer.has_value()) continue;
+    writer->pending = false;
+    unseen.push_back({.boottime_ns = now_ns,
+                      .source = std::make_shared<const sensor::MessageSource>(sensor::MessageSource{
+                          .topic = writer->name, .type = writer->type, .writer = *writer}),
+                      .writer_sequence = each.number,
+                      .size_bytes = std::max<uint32_t>(each.size, 1),
+                      .graph_version = graph.VersionShowing(each.writer).value_or(0)});
+  }
+  return unseen;
 }
 
 std::vector<sensor::ControlObservation> WireInput::Standing(int64_t now_ns) const {

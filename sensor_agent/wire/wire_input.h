@@ -13,8 +13,8 @@
 #include "absl/container/btree_map.h"
 #include "absl/status/statusor.h"
 #include "sensor_agent/dds/domain_watch.h"
+#include "sensor_agent/dds/topic_watcher.h"
 #include "sensor_agent/graph/graph_builder.h"
-#include "sensor_agent/messages/message_flow.h"
 #include "sensor_agent/outbox/observation.h"
 #include "sensor_agent/wire/wire_socket.h"
 #include "sensor_agent/wire/wire_watch.h"
@@ -26,6 +26,8 @@ namespace rips::wire {
 struct WireInputOptions {
   std::string socket;
   uint32_t domain = 0;
+  // This sensor uses DDS Security.
+  bool secured = false;
 };
 
 // One thread, but for `wake`.
@@ -45,13 +47,24 @@ class WireInput {
   void OnReaders(const std::function<bool(const ros2::Guid&)>& reads, int64_t now_ns) {
     watch_.SetReaders(reads, now_ns);
   }
+  // Our readers got this sample; they got some of any writer that were lost afterwards.
+  void OnSample(const ros2::Guid& writer, uint64_t number) { watch_.Received(writer, number); }
+  void OnSamplesLost() { watch_.ReceivedAndLost(); }
   // Discovery is told anew: what is not seen again is gone.
   void OnRediscovery(int64_t now_ns) { watch_.Rediscover(now_ns); }
 
-  // Findings that begin or are over, logged too; `graph` names the nodes. `flow` tells what our
-  // readers got.
-  std::vector<sensor::ControlObservation> Poll(const sensor::GraphBuilder& graph,
-                                               const sensor::MessageFlow& flow, int64_t now_ns);
+  // Findings that begin or are over, logged too; `graph` names the nodes.
+  std::vector<sensor::ControlObservation> Poll(const sensor::GraphBuilder& graph, int64_t now_ns);
+  // What the last Polls found besides, since the last call: writers whose sequence numbers jumped;
+  // writers whose messages do not come, or come again; and messages that others were sent in place
+  // of those that we got, of which no payload is held: they cannot be inspected.
+  std::vector<Jump> TakeJumps() { return watch_.TakeJumps(); }
+  std::vector<sensor::Coverage> TakeCoverage() { return std::exchange(coverage_, {}); }
+  // Why messages of this writer do not come as the tap sees them; empty = they do.
+  std::string NotVisible(const ros2::Guid& writer) const;
+  std::vector<sensor::MessageSeen> TakeUnseen(const sensor::GraphBuilder& graph, int64_t now_ns);
+  // The tap cannot use what discovery has shown, and could if it were told again.
+  bool WantsRediscovery() const { return watch_.CanSeeAgain(); }
   // Those that stand: for a server that has forgotten them.
   std::vector<sensor::ControlObservation> Standing(int64_t now_ns) const;
   // No others may stand: there was room for them, and the tap has been there for long enough.
@@ -59,15 +72,16 @@ class WireInput {
   bool ToldAll(int64_t now_ns) const;
   // A tap reports.
   bool visible(int64_t now_ns) const;
-  // Why traffic is not seen that the tap should show, for people; empty = it is, or the tap has
-  // been away for less than kAwayNs. Call it after each Poll: the first starts the clock.
+  // Why traffic is not seen, human-readable; empty = it is, or the tap has been away for less than
+  // kAwayNs. Call it after each Poll: the first starts the clock.
   static constexpr int64_t kAwayNs = 10 * kNanosPerSecond;
-  std::string Blind(int64_t now_ns);
+  std::vector<std::string> Blind(int64_t now_ns);
 
  private:
   WireInput(const WireInputOptions& options, Metrics* metrics);
 
   void TakeReport(const TapReport& report, int64_t now_ns);
+  void NoteCoverage(const sensor::Finding& finding);
   // The node that it was told with, which is part of what makes it the same one.
   void SetNode(const sensor::GraphBuilder& graph, sensor::Finding& finding);
   void CountLimits();
@@ -90,6 +104,7 @@ class WireInput {
   // No tap reports since then; 0 = one does, or nobody has asked yet.
   int64_t away_since_ns_ = 0;
   bool blind_logged_ = false;
+  std::vector<sensor::Coverage> coverage_;
   // Last: it goes first.
   std::unique_ptr<WireSocket> socket_;
 };

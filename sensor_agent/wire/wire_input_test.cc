@@ -1,6 +1,7 @@
 // The whole sensor with a tap that is played by the test.
 #include "sensor_agent/wire/wire_input.h"
 
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
 #include <optional>
@@ -25,10 +26,12 @@
 namespace rips::sensor {
 namespace {
 
+using ::testing::AllOf;
 using ::testing::Contains;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using ::testing::IsSupersetOf;
 using ::testing::Not;
 
 constexpr char kOver[] = " over";
@@ -66,19 +69,16 @@ class WireInputTest : public testing::Test {
     agent_ = *std::move(agent);
     agent_->Start();
   }
-  // One datagram of `writer` to everybody in our domain.
-  void Report(const ros2::Guid& writer, uint64_t sequence = 1) {
+  // One datagram of `writer` to everybody in our domain. `conflict_size` not 0: with a second
+  // content of so many bytes.
+  void Report(const ros2::Guid& writer, uint64_t sequence = 1, uint32_t conflict_size = 0) {
     const int64_t now_ns = clock_.Now().boottime_ns;
     if (!tap_->Ready(now_ns)) return;
     const uint8_t loopback[] = {127, 0, 0, 1};
     const uint8_t everybody[] = {239, 255, 0, 1};
     const auto port = static_cast<uint16_t>(7'400 + 250 * dds::RandomDomain() + 1);
     ++packets_;
-    tap_->Send({.domain = dds::RandomDomain(),
-                .boottime_ns = now_ns,
-                .counters = {.packets = packets_},
-                .local_addresses = {wire::FromV4(loopback)},
-                .traffic = {{.writer = writer,
+    wire::Traffic traffic = {.writer = writer,
                              .source = {wire::FromV4(loopback), 40'001},
                              .vendor = 0x0110,
                              .packets = 1,
@@ -86,7 +86,17 @@ class WireInputTest : public testing::Test {
                              .data_last = sequence,
                              .first_packet = packets_,
                              .last_packet = packets_,
-                             .destinations = {{{wire::FromV4(everybody), port}, 1}}}}},
+                             .destinations = {{{wire::FromV4(everybody), port}, 1}},
+                             .data_least = sequence,
+                             .conflicts = conflict_size == 0 ? 0u : 1u,
+                             .conflict_number = sequence,
+                             .conflict_size = conflict_size};
+    traffic.numbers.Add(sequence);
+    tap_->Send({.domain = dds::RandomDomain(),
+                .boottime_ns = now_ns,
+                .counters = {.packets = packets_},
+                .local_addresses = {wire::FromV4(loopback)},
+                .traffic = {traffic}},
                now_ns);
   }
   // "unicast_writer GUID", with kOver.
@@ -160,6 +170,48 @@ TEST_F(WireInputTest, TellsWhatDiscoveryDoesNotShow) {
   }));
 }
 
+TEST_F(WireInputTest, WhatOthersGotInPlaceOfAMessageIsOneThatCannotBeInspected) {
+  auto talker = robot_.AddProcess();
+  const ros2::Guid writer = talker->AddWriter("rt/chatter").guid();
+  StartAgent();
+  static constexpr uint32_t kBytes = 4'711;
+
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    Report(writer, 1, kBytes);
+    return testing::Matches(Contains(absl::StrCat("two_contents ", ToString(writer))))(Findings(s));
+  }));
+
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    Report(writer, 1, kBytes);
+    return std::any_of(s.received.begin(), s.received.end(), [](const Recorded& each) {
+      if (!each.what.has_message()) return false;
+      const rips::v1::MessageSeen& message = each.what.message();
+      return message.size_bytes() == kBytes && message.truncated() && message.payload().empty();
+    });
+  }));
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    return std::any_of(s.received.begin(), s.received.end(), [](const Recorded& each) {
+      return each.what.has_state() && each.what.state().blind_size() == 1 &&
+             each.what.state().blind(0) ==
+                 "wire tap: a writer sends others what does not come to the sensor";
+    });
+  }));
+}
+
+TEST_F(WireInputTest, AJumpIsAFindingOfItsWriter) {
+  auto talker = robot_.AddProcess();
+  const ros2::Guid writer = talker->AddWriter("rt/chatter").guid();
+  StartAgent();
+  uint64_t number = 1;
+
+  EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
+    Report(writer, number);
+    number = number == 1 ? uint64_t{1} << 40 : 1;
+    return testing::Matches(Contains(absl::StrCat("sequence_jump ", ToString(writer))))(
+        Findings(s));
+  }));
+}
+
 TEST_F(WireInputTest, FindingsOfATapThatHasJustComeAreNotAll) {
   const auto input = wire::WireInput::Create(
       {.socket = path_, .domain = dds::RandomDomain()}, [] {}, &metrics_);
@@ -168,11 +220,10 @@ TEST_F(WireInputTest, FindingsOfATapThatHasJustComeAreNotAll) {
   constexpr int64_t kSettledNs = kStartNs + wire::WireInput::kTapSettleNs;
   EXPECT_TRUE((*input)->ToldAll(kStartNs)) << "without a tap it is blind, or not asked for";
   GraphBuilder graph({}, kStartNs);
-  MessageFlow flow({}, &graph);
   const absl::Time deadline = absl::Now() + absl::Seconds(30);
   while ((*input)->ToldAll(kStartNs) && absl::Now() < deadline) {
     tap_->Ready(clock_.Now().boottime_ns);
-    (*input)->Poll(graph, flow, kStartNs);
+    (*input)->Poll(graph, kStartNs);
     absl::SleepFor(absl::Milliseconds(20));
   }
   EXPECT_FALSE((*input)->ToldAll(kSettledNs - 1));
@@ -183,12 +234,15 @@ TEST_F(WireInputTest, SaysWhetherItSeesUnicastOnlyWriters) {
   StartAgent();
   ASSERT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) { return !s.hellos.empty(); }));
   EXPECT_TRUE(server_.WaitUntil([](const FakePolicyServer& s) {
-    return testing::Matches(Contains("unicast-only writers"))(NotVisible(s));
+    return testing::Matches(IsSupersetOf(
+        {"unicast-only writers", "messages with two contents under one number"}))(NotVisible(s));
   }));
 
   EXPECT_TRUE(server_.WaitUntil([&](const FakePolicyServer& s) {
     Report(wire::TestGuid(9, 0x103));
-    return testing::Matches(Not(Contains("unicast-only writers")))(NotVisible(s));
+    return testing::Matches(AllOf(Not(Contains("unicast-only writers")),
+                                  Not(Contains("messages with two contents under one number"))))(
+        NotVisible(s));
   }));
 
   // The tap hangs: connected, and silent.
@@ -203,10 +257,10 @@ TEST_F(WireInputTest, ATapThatStaysAwayIsAReasonToBeBlind) {
   ASSERT_THAT(input, IsOk());
   constexpr int64_t kStartNs = 100 * kNanosPerSecond;
   const int64_t end_ns = kStartNs + wire::WireInput::kAwayNs;
-  EXPECT_EQ((*input)->Blind(kStartNs), "");
-  EXPECT_EQ((*input)->Blind(end_ns - 1), "") << "the tap may be starting";
-  EXPECT_EQ((*input)->Blind(end_ns),
-            absl::StrCat("wire tap: no rips-wire reports at `", path_, "`"));
+  EXPECT_THAT((*input)->Blind(kStartNs), IsEmpty());
+  EXPECT_THAT((*input)->Blind(end_ns - 1), IsEmpty()) << "the tap may be starting";
+  EXPECT_THAT((*input)->Blind(end_ns),
+              ElementsAre(absl::StrCat("wire tap: no rips-wire reports at `", path_, "`")));
 }
 
 TEST_F(WireInputTest, DoesNotStartWithoutItsSocket) {

@@ -2,6 +2,8 @@
 
 #include <algorithm>
 #include <limits>
+#include <memory>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "sensor_agent/wire/packet_filter.h"
@@ -12,8 +14,9 @@ namespace {
 
 constexpr char kUnicastWriter[] = "unicast_writer";
 constexpr char kSpoofedWriter[] = "spoofed_writer";
-constexpr char kDirectedData[] = "directed_data";
-constexpr const char* kKinds[] = {kUnicastWriter, kSpoofedWriter, kDirectedData};
+constexpr const char* kKinds[] = {kUnicastWriter, kSpoofedWriter, kDirectedData, kTwoContents};
+// Jumps that are not taken.
+constexpr size_t kJumpsMax = 256;
 
 // Ports of one address that a participant sends from at the same time. Cyclone DDS has one socket
 // for each address; Fast DDS one for unicast on all addresses, and one for multicast on each. What
@@ -34,6 +37,13 @@ size_t PortsOf(uint16_t vendor) {
 bool HasUnicast(const std::vector<Locator>& locators) {
   return std::any_of(locators.begin(), locators.end(),
                      [](const Locator& each) { return !each.address.multicast(); });
+}
+
+// GUID prefixes of participants with DDS Security begin with a one (DDS Security 1.1 §9.3.3).
+bool HasSecurePrefix(const ros2::Guid& guid) { return (guid.bytes[0] & 0x80) != 0; }
+
+bool IsUsers(const ros2::Guid& writer) {
+  return ClassOf(writer) == EntityClass::kUser && !NamesNoEntity(writer);
 }
 
 bool ToMulticast(const Traffic& traffic) {
@@ -63,7 +73,10 @@ void WireWatch::ParticipantSeen(const ros2::Guid& participant,
   if (known.gone_ns != 0) {
     // Started again under its old name: from another port, rightly.
     const auto seen = participants_.find(participant);
-    if (seen != participants_.end()) seen->second.sources.clear();
+    if (seen != participants_.end()) {
+      seen->second.sources.clear();
+      if (known.left) seen->second.numbers.clear();  // it counts from 1
+    }
   }
   for (const Locator& each : known.advertised) {
     if (--advertised_[each] == 0) advertised_.erase(each);
@@ -71,13 +84,21 @@ void WireWatch::ParticipantSeen(const ros2::Guid& participant,
   known.advertised = advertised;
   for (const Locator& each : known.advertised) ++advertised_[each];
   known.gone_ns = 0;
+  known.left = false;
 }
 
 void WireWatch::ParticipantGone(const ros2::Guid& participant, int64_t now_ns) {
+  EndForgeries(participant);
   const auto it = known_participants_.find(participant);
-  if (it == known_participants_.end() || it->second.gone_ns != 0) return;
-  it->second.gone_ns = now_ns;
-  graves_.emplace_back(now_ns, participant);
+  if (it == known_participants_.end()) return;
+  it->second.left = true;
+  Bury(participant, it->second.gone_ns, now_ns);
+}
+
+void WireWatch::Bury(const ros2::Guid& guid, int64_t& gone_ns, int64_t now_ns) {
+  if (gone_ns != 0) return;
+  gone_ns = now_ns;
+  graves_.emplace_back(now_ns, guid);
 }
 
 void WireWatch::WriterSeen(const ros2::Guid& writer, const std::string& topic) {
@@ -89,23 +110,29 @@ void WireWatch::WriterSeen(const ros2::Guid& writer, const std::string& topic) {
   KnownWriter& known = known_writers_[writer];
   known.topic = topic;
   known.gone_ns = 0;
+  if (std::exchange(known.left, false)) known.numbers = {};
+  const auto seen = participants_.find(writer.Participant());
+  if (seen == participants_.end()) return;
+  const auto numbers = seen->second.numbers.find(writer);
+  if (numbers == seen->second.numbers.end()) return;
+  known.numbers = numbers->second;
+  seen->second.numbers.erase(numbers);
 }
 
 void WireWatch::WriterGone(const ros2::Guid& writer, int64_t now_ns) {
+  EndForgeries(writer);
   const auto it = known_writers_.find(writer);
-  if (it == known_writers_.end() || it->second.gone_ns != 0) return;
-  it->second.gone_ns = now_ns;
-  it->second.read = false;
-  graves_.emplace_back(now_ns, writer);
+  if (it == known_writers_.end()) return;
+  it->second.left = true;
+  it->second.reception = nullptr;
+  Bury(writer, it->second.gone_ns, now_ns);
 }
 
 void WireWatch::WriterRead(const ros2::Guid& writer, int64_t now_ns) {
   const auto it = known_writers_.find(writer);
-  if (it == known_writers_.end() || it->second.read) return;
-  KnownWriter& known = it->second;
-  known.read = true;
-  known.progress_ns = now_ns;
-  known.on_wire = known.on_wire_then = known.received = 0;
+  if (it == known_writers_.end() || it->second.reception != nullptr) return;
+  it->second.reception =
+      std::make_unique<Reception>(std::max(now_ns, settled_ns_) + options_.match_ns);
 }
 
 void WireWatch::SetReaders(const std::function<bool(const ros2::Guid&)>& reads, int64_t now_ns) {
@@ -113,20 +140,57 @@ void WireWatch::SetReaders(const std::function<bool(const ros2::Guid&)>& reads, 
     if (reads(guid)) {
       WriterRead(guid, now_ns);
     } else {
-      known.read = false;
+      known.reception = nullptr;
     }
   }
 }
 
+void WireWatch::Received(const ros2::Guid& writer, uint64_t number) {
+  const auto it = known_writers_.find(writer);
+  if (it == known_writers_.end() || it->second.reception == nullptr || number == 0) return;
+  it->second.reception->Received(number);
+}
+
+void WireWatch::ReceivedAndLost() {
+  for (auto& [guid, known] : known_writers_) {
+    if (known.reception != nullptr) known.reception->Excuse();
+  }
+}
+
+void WireWatch::EndForgeries(const ros2::Guid& gone) {
+  const auto ends = [&gone](const ros2::Guid& about) {
+    return about == gone || about.Participant() == gone;
+  };
+  absl::erase_if(forgeries_, [&](const auto& each) { return ends(each.first.second); });
+  absl::erase_if(conflicts_, [&](const auto& each) { return ends(each.first); });
+}
+
 void WireWatch::Rediscover(int64_t now_ns) {
-  for (auto& [guid, known] : known_participants_) ParticipantGone(guid, now_ns);
-  for (auto& [guid, known] : known_writers_) WriterGone(guid, now_ns);
+  for (auto& [guid, known] : known_participants_) Bury(guid, known.gone_ns, now_ns);
+  for (auto& [guid, known] : known_writers_) Bury(guid, known.gone_ns, now_ns);
+  if (!blind_) return;
+  // What was left out is told again now, if there is room; until then it is not unknown.
+  blind_ = false;
+  if (settled_ns_ != 0) settled_ns_ = now_ns + options_.grace_ns;
+}
+
+bool WireWatch::CanSeeAgain() const {
+  const auto has_room = [](size_t now, size_t limit) { return now <= limit / 4 * 3; };
+  return blind_ && has_room(known_participants_.size(), options_.known_participants) &&
+         has_room(known_writers_.size(), options_.known_writers);
 }
 
 // ---------------------------------------------------------------------------------------- facts
 
 bool WireWatch::Knows(const ros2::Guid& participant) const {
   return known_participants_.contains(participant);
+}
+
+bool WireWatch::IsThere(const ros2::Guid& guid) const {
+  const auto participant = known_participants_.find(guid);
+  if (participant != known_participants_.end()) return participant->second.gone_ns == 0;
+  const auto writer = known_writers_.find(guid);
+  return writer != known_writers_.end() && writer->second.gone_ns == 0;
 }
 
 bool WireWatch::IsOurs(const Traffic& traffic) const {
@@ -184,22 +248,78 @@ void WireWatch::Take(const TapReport& report, int64_t now_ns) {
     seen.last_ns = now_ns;
     if (IsParticipantWriter(traffic.writer) && ToMulticast(traffic)) seen.announced = true;
     TakeSource(traffic, now_ns, seen);
+    TakeNumbers(traffic, now_ns, seen);
+    TakeConflicts(traffic, now_ns);
     if (!Knows(guid)) TakeSuspect(traffic, now_ns, seen.whole);
-    const auto known = known_writers_.find(traffic.writer);
-    if (known != known_writers_.end()) {
-      KnownWriter& writer = known->second;
-      const uint64_t last = std::max(traffic.data_last, traffic.heartbeat_last);
-      // What was written before we came is not ours to miss.
-      if (writer.on_wire == 0) writer.on_wire_then = last;
-      writer.on_wire = std::max(writer.on_wire, last);
-    } else if (ClassOf(traffic.writer) == EntityClass::kUser && !NamesNoEntity(traffic.writer)) {
-      if (!seen.writers.contains(traffic.writer) && seen.writers.size() >= options_.writers_each) {
-        ++counters_.dropped;
-        continue;
-      }
-      TakeSuspect(traffic, now_ns, seen.writers[traffic.writer]);
+    if (known_writers_.contains(traffic.writer) || !IsUsers(traffic.writer)) continue;
+    if (!seen.writers.contains(traffic.writer) && seen.writers.size() >= options_.writers_each) {
+      ++counters_.dropped;
+      continue;
     }
+    TakeSuspect(traffic, now_ns, seen.writers[traffic.writer]);
   }
+}
+
+void WireWatch::TakeNumbers(const Traffic& traffic, int64_t now_ns, Participant& seen) {
+  if (NamesNoEntity(traffic.writer)) return;
+  const auto known = known_writers_.find(traffic.writer);
+  WriterNumbers* numbers = nullptr;
+  if (known != known_writers_.end()) {
+    numbers = &known->second.numbers;
+    if (known->second.reception != nullptr) known->second.reception->OnWire(traffic, now_ns);
+  } else {
+    if (!seen.numbers.contains(traffic.writer) && seen.numbers.size() >= options_.numbers_each) {
+      ++counters_.dropped;
+      return;
+    }
+    numbers = &seen.numbers[traffic.writer];
+  }
+  const std::string why = numbers->Take(traffic, now_ns);
+  if (why.empty() || !Knows(traffic.writer.Participant())) return;
+  if (jumps_.size() >= kJumpsMax) {
+    ++counters_.findings_dropped;
+    return;
+  }
+  jumps_.push_back(
+      {.writer = traffic.writer,
+       .detail = absl::StrCat("on the wire from ", ToString(traffic.source), ": ", why)});
+}
+
+void WireWatch::TakeConflicts(const Traffic& traffic, int64_t now_ns) {
+  if (traffic.conflicts == 0 || !IsUsers(traffic.writer)) return;
+  if (options_.secured && HasSecurePrefix(traffic.writer)) return;
+  const auto known = known_writers_.find(traffic.writer);
+  if (known == known_writers_.end() && !Knows(traffic.writer.Participant())) return;
+  if (!conflicts_.contains(traffic.writer) && conflicts_.size() >= options_.findings) {
+    ++counters_.findings_dropped;
+    return;
+  }
+  Conflict& conflict = conflicts_[traffic.writer];
+  if (conflict.count == 0) {
+    conflict.number = traffic.conflict_number;
+    conflict.to = traffic.conflict_to;
+  }
+  conflict.count += traffic.conflicts;
+  conflict.last_ns = now_ns;
+  if (known == known_writers_.end() || known->second.reception == nullptr) return;
+  if (second_contents_.size() >= options_.findings) return;
+  second_contents_.push_back(
+      {.writer = traffic.writer, .number = traffic.conflict_number, .size = traffic.conflict_size});
+}
+
+std::vector<Jump> WireWatch::TakeJumps() {
+  if (settled_ns_ == 0) return {};
+  return std::exchange(jumps_, {});
+}
+
+bool WireWatch::Misses(const ros2::Guid& writer) const {
+  return standing_.contains({kDirectedData, writer}) || standing_.contains({kTwoContents, writer});
+}
+
+bool WireWatch::MissesSome() const {
+  return std::any_of(standing_.begin(), standing_.end(), [](const auto& each) {
+    return each.first.first == kDirectedData || each.first.first == kTwoContents;
+  });
 }
 
 void WireWatch::TakeSuspect(const Traffic& traffic, int64_t now_ns, Suspect& suspect) const {
@@ -211,10 +331,7 @@ void WireWatch::TakeSuspect(const Traffic& traffic, int64_t now_ns, Suspect& sus
 }
 
 void WireWatch::TakeSource(const Traffic& traffic, int64_t now_ns, Participant& seen) {
-  const ros2::Guid about =
-      ClassOf(traffic.writer) == EntityClass::kUser && !NamesNoEntity(traffic.writer)
-          ? traffic.writer
-          : traffic.writer.Participant();
+  const ros2::Guid about = IsUsers(traffic.writer) ? traffic.writer : traffic.writer.Participant();
   auto it = std::find_if(seen.sources.begin(), seen.sources.end(),
                          [&](const Source& each) { return each.from == traffic.source; });
   if (it == seen.sources.end()) {
@@ -252,7 +369,13 @@ void WireWatch::Forget(int64_t now_ns) {
       known_participants_.erase(participant);
     }
   }
+  absl::erase_if(forgeries_, [&](const auto& each) {
+    return !Knows(each.first.second) && !known_writers_.contains(each.first.second);
+  });
   const auto old = [&](int64_t last_ns) { return now_ns - last_ns >= options_.forget_ns; };
+  absl::erase_if(conflicts_, [&](const auto& each) {
+    return !known_writers_.contains(each.first) && old(each.second.last_ns);
+  });
   for (auto it = participants_.begin(); it != participants_.end();) {
     Participant& seen = it->second;
     if (old(seen.last_ns)) {
@@ -270,8 +393,7 @@ void WireWatch::Forget(int64_t now_ns) {
 
 // ----------------------------------------------------------------------------------- judgements
 
-std::vector<sensor::Finding> WireWatch::Poll(bool settled, const Received& received,
-                                             int64_t now_ns) {
+std::vector<sensor::Finding> WireWatch::Poll(bool settled, int64_t now_ns) {
   if (settled && settled_ns_ == 0) settled_ns_ = now_ns;
   if (settled_ns_ == 0 || now_ns < next_judgement_ns_) return {};
   next_judgement_ns_ = now_ns + options_.judge_interval_ns;
@@ -281,7 +403,13 @@ std::vector<sensor::Finding> WireWatch::Poll(bool settled, const Received& recei
     if (!blind_) JudgeUnknown(guid, seen, now_ns, found);
     JudgeSources(guid, seen, now_ns, found);
   }
-  JudgeBypass(received, now_ns, found);
+  for (const auto& [key, finding] : found) {
+    if (key.first != kSpoofedWriter || !IsThere(key.second)) continue;
+    if (forgeries_.size() < options_.findings) forgeries_.try_emplace(key, finding);
+  }
+  found.insert(forgeries_.begin(), forgeries_.end());
+  JudgeReception(now_ns, found);
+  JudgeContents(found);
   return Tell(std::move(found));
 }
 
@@ -346,25 +474,28 @@ void WireWatch::JudgeSources(const ros2::Guid& guid, const Participant& seen, in
   }
 }
 
-void WireWatch::JudgeBypass(const Received& received, int64_t now_ns, Findings& found) {
+void WireWatch::JudgeReception(int64_t now_ns, Findings& found) {
   for (auto& [guid, writer] : known_writers_) {
-    if (!writer.read || writer.on_wire == 0) continue;
-    const uint64_t sequence = received(guid);
-    if (sequence != writer.received) {
-      writer.received = sequence;
-      writer.progress_ns = now_ns;
-      writer.on_wire_then = std::max(writer.on_wire, sequence);
-      continue;
-    }
-    const int64_t since_ns = std::max(writer.progress_ns, settled_ns_);
-    const uint64_t missed =
-        writer.on_wire > writer.on_wire_then ? writer.on_wire - writer.on_wire_then : 0;
-    if (now_ns - since_ns < options_.bypass_ns || missed < options_.bypass_samples) continue;
+    if (writer.reception == nullptr || !writer.reception->Missing(now_ns)) continue;
     found[{kDirectedData, guid}] = {
         .kind = kDirectedData,
         .guid = guid,
         .topic = writer.topic,
-        .detail = "the writer goes on, and its data does not come to our reader"};
+        .detail = absl::StrCat(writer.reception->missed(), " of ", writer.reception->sent(),
+                               " samples on the wire do not come to our reader")};
+  }
+}
+
+void WireWatch::JudgeContents(Findings& found) const {
+  for (const auto& [guid, conflict] : conflicts_) {
+    const auto writer = known_writers_.find(guid);
+    if (writer == known_writers_.end()) continue;
+    found[{kTwoContents, guid}] = {
+        .kind = kTwoContents,
+        .guid = guid,
+        .topic = writer->second.topic,
+        .detail = absl::StrCat("sample ", conflict.number, " goes to ", ToString(conflict.to),
+                               " with another content than elsewhere")};
   }
 }
 

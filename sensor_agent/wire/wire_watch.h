@@ -8,10 +8,17 @@
 // | spoofed_writer | datagrams of a known participant come from an address that it does not     |
 // |                | advertise, or by turns from more ports of one address than its middleware  |
 // |                | uses                                                                       |
-// | directed_data  | a writer that we read goes on writing, and nothing of it reaches our reader|
+// | directed_data  | a writer that we read sends samples, and less than half of them reach our  |
+// |                | reader (reception.h)                                                       |
+// | two_contents   | a sample of a user's writer was on the wire with two contents              |
 //
-// A finding stands as long as its evidence does: until discovery shows the writer, until data
-// reaches us again, or until nothing more of it was on the wire for forget_ns.
+// A finding stands as long as its evidence does: `unicast_writer` until discovery shows the writer
+// or nothing more of it was on the wire for forget_ns, `directed_data` until data reaches us again.
+// What forged datagrams do to a reader lasts as long as the writer: `spoofed_writer` and
+// `two_contents` stand until discovery says that the writer or its participant has gone.
+//
+// Numbers that one writer cannot have (writer_numbers.h) are handed out as jumps: `sequence_jump`
+// is a finding of the readers.
 #ifndef RIPS_SENSOR_AGENT_WIRE_WIRE_WATCH_H_
 #define RIPS_SENSOR_AGENT_WIRE_WIRE_WATCH_H_
 
@@ -19,6 +26,7 @@
 #include <cstdint>
 #include <deque>
 #include <functional>
+#include <memory>
 #include <string>
 #include <utility>
 #include <vector>
@@ -27,36 +35,13 @@
 #include "absl/container/flat_hash_map.h"
 #include "absl/types/span.h"
 #include "sensor_agent/outbox/observation.h"
+#include "sensor_agent/wire/reception.h"
 #include "sensor_agent/wire/traffic.h"
+#include "sensor_agent/wire/watch_options.h"
+#include "sensor_agent/wire/writer_numbers.h"
 #include "services/ros2/guid.h"
 
 namespace rips::wire {
-
-struct WatchOptions {
-  uint32_t domain = 0;
-  // How long something may be on the wire before discovery shows it.
-  int64_t grace_ns = 2'000'000'000;
-  // The same for a participant that announces itself by multicast: it does not hide, and if the
-  // first announcement was lost the next one comes after 8 s (Cyclone) or 3 s (Fast DDS).
-  int64_t announced_grace_ns = 10'000'000'000;
-  // Known participants and writers that have gone stay known: datagrams are reported later.
-  int64_t tombstone_ns = 10'000'000'000;
-  int64_t forget_ns = 60'000'000'000;
-  // directed_data: so many samples on the wire in so long a time without one for our reader.
-  uint64_t bypass_samples = 10;
-  int64_t bypass_ns = 5'000'000'000;
-  int64_t judge_interval_ns = 200'000'000;
-  // As discovery shows them. Beyond, unicast_writer cannot be judged and is not.
-  size_t known_participants = 4'096;
-  size_t known_writers = 32'768;
-  // On the wire; what is of more participants is not judged.
-  size_t participants = 4'096;
-  // Of one participant: its unknown writers, and where it sends from. More are not told apart.
-  size_t writers_each = 64;
-  size_t sources_each = 32;
-  // Findings that stand at a time.
-  size_t findings = 256;
-};
 
 struct WatchCounters {
   // Reports about datagrams of other domains.
@@ -74,6 +59,20 @@ struct Suspect {
   uint64_t packets = 0;
   Locator from;
   Locator to;
+};
+
+// Numbers that one writer cannot have.
+struct Jump {
+  ros2::Guid writer;
+  // Human-readable.
+  std::string detail;
+};
+
+// A sample was on the wire with two contents, of which our reader has one.
+struct SecondContent {
+  ros2::Guid writer;
+  uint64_t number = 0;
+  uint32_t size = 0;  // bytes
 };
 
 // Not thread-safe; no clock: times are CLOCK_BOOTTIME in nanoseconds and never go back.
@@ -94,6 +93,10 @@ class WireWatch {
   // Of every writer, whether we have a reader for it.
   void SetReaders(const std::function<bool(const ros2::Guid&)>& reads, int64_t now_ns);
 
+  // Our reader got this sample, or lost samples of any writer after it got them.
+  void Received(const ros2::Guid& writer, uint64_t number);
+  void ReceivedAndLost();
+
   // Discovery is told anew from the start: what is not seen again counts as gone now.
   void Rediscover(int64_t now_ns);
 
@@ -103,9 +106,12 @@ class WireWatch {
   void TapChanged();
 
   // What is over and then what begins to stand. Nothing begins until discovery has `settled`.
-  // `received` gives the highest sequence number that our reader has of a writer, 0 = none.
-  using Received = std::function<uint64_t(const ros2::Guid&)>;
-  std::vector<sensor::Finding> Poll(bool settled, const Received& received, int64_t now_ns);
+  std::vector<sensor::Finding> Poll(bool settled, int64_t now_ns);
+  // Since the last call; nothing until discovery has settled. The writer or its participant is
+  // known, and may be built in.
+  std::vector<Jump> TakeJumps();
+  // Of writers that we read, since the last call; one for each report.
+  std::vector<SecondContent> TakeSecondContents() { return std::exchange(second_contents_, {}); }
 
   // Findings that stand, by kind and GUID.
   using FindingKey = std::pair<std::string, ros2::Guid>;
@@ -114,24 +120,28 @@ class WireWatch {
   // Further ones are dropped.
   bool full() const { return standing_.size() >= options_.findings; }
   const WatchCounters& counters() const { return counters_; }
-  // A limit on what discovery shows was hit.
+  // `directed_data` or `two_contents` of it stands.
+  bool Misses(const ros2::Guid& writer) const;
+  // Of some writer.
+  bool MissesSome() const;
+  // A limit on what discovery shows was hit, since it was told from the start.
   bool blind() const { return blind_; }
+  // It was, and there is room again: discovery may be told anew.
+  bool CanSeeAgain() const;
 
  private:
   struct KnownParticipant {
     std::vector<Locator> advertised;
     int64_t gone_ns = 0;  // 0 = there
+    bool left = false;    // as discovery says
   };
   struct KnownWriter {
     std::string topic;
     int64_t gone_ns = 0;
-    bool read = false;
-    // Highest sequence number on the wire.
-    uint64_t on_wire = 0;
-    // When our reader last got on, how far it was, and how far the wire was then.
-    int64_t progress_ns = 0;
-    uint64_t received = 0;
-    uint64_t on_wire_then = 0;
+    bool left = false;
+    WriterNumbers numbers;
+    // Null = we do not read it.
+    std::unique_ptr<Reception> reception;
   };
   // Where datagrams of a participant come from.
   struct Source {
@@ -154,10 +164,20 @@ class WireWatch {
     // Sorted by first datagram.
     std::vector<Source> sources;
     absl::btree_map<ros2::Guid, Suspect> writers;
+    // Of writers that are not known, and of those that are built in.
+    absl::btree_map<ros2::Guid, WriterNumbers> numbers;
+  };
+  struct Conflict {
+    uint64_t count = 0;
+    uint64_t number = 0;
+    Locator to;
+    int64_t last_ns = 0;
   };
 
   bool IsOurs(const Traffic& traffic) const;
   bool Knows(const ros2::Guid& participant) const;
+  // A writer or participant that is there.
+  bool IsThere(const ros2::Guid& guid) const;
   bool Local(const Address& address) const;
   bool MaySendFrom(const ros2::Guid& participant, const Participant& seen,
                    const Address& address) const;
@@ -165,13 +185,19 @@ class WireWatch {
 
   void TakeSource(const Traffic& traffic, int64_t now_ns, Participant& seen);
   void TakeSuspect(const Traffic& traffic, int64_t now_ns, Suspect& suspect) const;
+  void Bury(const ros2::Guid& guid, int64_t& gone_ns, int64_t now_ns);
+  void TakeNumbers(const Traffic& traffic, int64_t now_ns, Participant& seen);
+  void TakeConflicts(const Traffic& traffic, int64_t now_ns);
+  // Discovery says that it has gone: what was forged under its name has no effect any more.
+  void EndForgeries(const ros2::Guid& gone);
   void Forget(int64_t now_ns);
 
   void JudgeUnknown(const ros2::Guid& guid, const Participant& seen, int64_t now_ns,
                     Findings& found) const;
   void JudgeSources(const ros2::Guid& guid, const Participant& seen, int64_t now_ns,
                     Findings& found) const;
-  void JudgeBypass(const Received& received, int64_t now_ns, Findings& found);
+  void JudgeReception(int64_t now_ns, Findings& found);
+  void JudgeContents(Findings& found) const;
   std::vector<sensor::Finding> Tell(Findings found);
 
   const WatchOptions options_;
@@ -185,6 +211,11 @@ class WireWatch {
   std::vector<Address> local_;                         // sorted
   absl::btree_map<ros2::Guid, Participant> participants_;
   Findings standing_;
+  // spoofed_writer of known participants. At most options_.findings, as conflicts_.
+  Findings forgeries_;
+  absl::btree_map<ros2::Guid, Conflict> conflicts_;
+  std::vector<Jump> jumps_;
+  std::vector<SecondContent> second_contents_;
   int64_t settled_ns_ = 0;  // 0 = not yet
   int64_t next_judgement_ns_ = 0;
 };

@@ -1,6 +1,5 @@
 #include "sensor_agent/wire/wire_watch.h"
 
-#include <map>
 #include <optional>
 
 #include "absl/strings/str_cat.h"
@@ -18,6 +17,7 @@ using ::testing::Field;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
+using ::testing::UnorderedElementsAre;
 
 constexpr int64_t kSecond = 1'000'000'000;
 constexpr uint16_t kDomainPort = 7'400 + 250 * 42 + 11;
@@ -80,12 +80,12 @@ class WireWatchTest : public testing::Test {
                               .first_packet = packets_,
                               .last_packet = packets_,
                               .destinations = {{to, 1}}});
+    Traffic& traffic = report.traffic.back();
+    traffic.data_least = sequence;
+    traffic.numbers.Add(sequence);
     watch_->Take(report, now_ns_);
   }
-  std::vector<Finding> Poll(bool settled = true) {
-    return watch_->Poll(
-        settled, [this](const ros2::Guid& writer) { return received_[writer]; }, now_ns_);
-  }
+  std::vector<Finding> Poll(bool settled = true) { return watch_->Poll(settled, now_ns_); }
   std::vector<Finding> PollAfter(int64_t ns) {
     now_ns_ += ns;
     return Poll();
@@ -93,7 +93,6 @@ class WireWatchTest : public testing::Test {
 
   int64_t now_ns_ = 100 * kSecond;
   uint64_t packets_ = 0;
-  std::map<ros2::Guid, uint64_t> received_;
   std::optional<WireWatch> watch_;
 };
 
@@ -274,6 +273,40 @@ TEST_F(WireWatchTest, FindsAnAddressThatIsNotAdvertised) {
             "advertise");
 }
 
+TEST_F(WireWatchTest, AForgeryStandsAsLongAsTheWriterLives) {
+  MeetRobot();
+  Send(kWriter, kHome, At(2, kDomainPort), 1);
+  Send(kWriter, At(9, 40'001), At(2, kDomainPort), 2);
+  EXPECT_THAT(PollAfter(2 * kSecond), ElementsAre(Begins("spoofed_writer", kWriter)));
+
+  // The forger is long gone, and what it did to readers lasts.
+  EXPECT_THAT(PollAfter(600 * kSecond), IsEmpty());
+  // Discovery that we ask again changes nothing.
+  watch_->Rediscover(now_ns_);
+  MeetRobot();
+  EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
+
+  watch_->WriterGone(kWriter, now_ns_);
+  EXPECT_THAT(PollAfter(kSecond), ElementsAre(IsOver("spoofed_writer", kWriter)));
+  MeetRobot();
+  EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
+}
+
+TEST_F(WireWatchTest, AForgeryEndsWithItsParticipant) {
+  MeetRobot();
+  Send(kWriter, kHome, At(2, kDomainPort), 1);
+  Send(kWriter, At(9, 40'001), At(2, kDomainPort), 2);
+  Send(TestGuid(1, 0x000003c2), At(9, 40'002), At(2, kDomainPort));
+  EXPECT_THAT(PollAfter(2 * kSecond), UnorderedElementsAre(Begins("spoofed_writer", kWriter),
+                                                           Begins("spoofed_writer", kRobot)));
+  watch_->ParticipantGone(kRobot, now_ns_);
+  watch_->WriterGone(kWriter, now_ns_);
+  watch_->ParticipantSeen(kRobot, {kHome});
+
+  EXPECT_THAT(PollAfter(kSecond), UnorderedElementsAre(IsOver("spoofed_writer", kWriter),
+                                                       IsOver("spoofed_writer", kRobot)));
+}
+
 TEST_F(WireWatchTest, AForgedAnnouncementIsFoundToo) {
   MeetRobot();
   Send(TestGuid(1, kParticipantWriterId), At(9, 40'001), Multicast(7'400 + 250 * 42));
@@ -367,64 +400,82 @@ TEST_F(WireWatchTest, AnotherTapCountsAnew) {
 
 TEST_F(WireWatchTest, FindsDataThatGoesPastOurReader) {
   MeetRobot();
-  received_[kWriter] = 5;
-  Send(kWriter, kHome, Multicast(kDomainPort), 5);
-  EXPECT_THAT(PollAfter(kSecond), IsEmpty());
-  Send(kWriter, kHome, At(2, kDomainPort), 15);
+  now_ns_ += 3 * kSecond;  // it knows our reader
+  std::vector<Finding> found;
+  uint64_t sequence = 0;
+  for (int i = 0; i < 20 && found.empty(); ++i) {
+    Send(kWriter, kHome, At(2, kDomainPort), sequence += 1);
+    Send(kWriter, kHome, At(2, kDomainPort), sequence += 1);
+    found = PollAfter(kSecond / 5);
+  }
 
-  EXPECT_THAT(PollAfter(4 * kSecond), IsEmpty());
-  const std::vector<Finding> found = PollAfter(kSecond);
   ASSERT_THAT(found, ElementsAre(Begins("directed_data", kWriter)));
   EXPECT_EQ(found[0].topic, "/cmd_vel");
-  received_[kWriter] = 16;
-  EXPECT_THAT(PollAfter(kSecond), ElementsAre(IsOver("directed_data", kWriter)));
-}
-
-TEST_F(WireWatchTest, FindsAWriterThatIgnoresUs) {
-  MeetRobot();
-  Send(kWriter, kHome, At(2, kDomainPort), 1);
-  now_ns_ += 5 * kSecond;
-  Send(kWriter, kHome, At(2, kDomainPort), 11);
-
-  EXPECT_THAT(Poll(), ElementsAre(Begins("directed_data", kWriter)));
-}
-
-TEST_F(WireWatchTest, RetransmissionsAndHistoryAreNoFinding) {
-  MeetRobot();
-  // To somebody who came late: all that was written before we came.
-  for (uint64_t sequence = 1; sequence <= 50; ++sequence) {
-    Send(kWriter, kHome, At(2, kDomainPort), 51 - sequence);
+  EXPECT_THAT(found[0].detail, HasSubstr(" samples on the wire do not come to our reader"));
+  EXPECT_TRUE(watch_->Misses(kWriter) && watch_->MissesSome());
+  for (int i = 0; i < 20 && !found[0].over; ++i) {
+    watch_->Received(kWriter, ++sequence);
+    Send(kWriter, kHome, At(2, kDomainPort), sequence);
+    if (auto news = PollAfter(kSecond / 5); !news.empty()) found = news;
   }
-
-  EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
-}
-
-TEST_F(WireWatchTest, AReaderThatLagsButGetsOnIsNoFinding) {
-  MeetRobot();
-  for (uint64_t i = 1; i <= 20; ++i) {
-    Send(kWriter, kHome, Multicast(kDomainPort), 1'000 * i);
-    received_[kWriter] = 10 * i;
-    EXPECT_THAT(PollAfter(kSecond), IsEmpty());
-  }
-}
-
-TEST_F(WireWatchTest, FewSamplesAreNoFinding) {
-  MeetRobot();
-  received_[kWriter] = 1;
-  Send(kWriter, kHome, Multicast(kDomainPort), 1);
-  Poll();
-  Send(kWriter, kHome, At(2, kDomainPort), 10);
-
-  EXPECT_THAT(PollAfter(20 * kSecond), IsEmpty());
+  EXPECT_THAT(found, ElementsAre(IsOver("directed_data", kWriter)));
+  EXPECT_FALSE(watch_->Misses(kWriter) || watch_->MissesSome());
 }
 
 TEST_F(WireWatchTest, WritersThatWeDoNotReadAreNotMissed) {
   watch_->ParticipantSeen(kRobot, {kHome});
   watch_->WriterSeen(kWriter, "/rosout");
-  for (uint64_t i = 1; i <= 20; ++i) {
-    Send(kWriter, kHome, At(2, kDomainPort), 100 * i);
-    EXPECT_THAT(PollAfter(kSecond), IsEmpty());
+  for (uint64_t i = 1; i <= 50; ++i) {
+    Send(kWriter, kHome, At(2, kDomainPort), i);
+    EXPECT_THAT(PollAfter(kSecond / 5), IsEmpty());
   }
+  // Nor those that we read no longer.
+  watch_->WriterRead(kWriter, now_ns_);
+  watch_->SetReaders([](const ros2::Guid&) { return false; }, now_ns_);
+  for (uint64_t i = 51; i <= 100; ++i) {
+    Send(kWriter, kHome, At(2, kDomainPort), i);
+    EXPECT_THAT(PollAfter(kSecond / 5), IsEmpty());
+  }
+}
+
+TEST_F(WireWatchTest, SamplesThatOurQueuesLostAreNotMissed) {
+  MeetRobot();
+  for (uint64_t i = 1; i <= 100; ++i) {
+    Send(kWriter, kHome, At(2, kDomainPort), i);
+    EXPECT_THAT(PollAfter(kSecond / 5), IsEmpty());
+    watch_->ReceivedAndLost();
+  }
+}
+
+// --------------------------------------------------------------------------------- two_contents
+
+TEST_F(WireWatchTest, FindsTwoContentsOfASample) {
+  MeetRobot();
+  TapReport report{.domain = 42};
+  report.traffic.push_back({.writer = kWriter,
+                            .source = kHome,
+                            .packets = 2,
+                            .data = 2,
+                            .destinations = {{At(2, kDomainPort), 2}},
+                            .conflicts = 1,
+                            .conflict_number = 7,
+                            .conflict_size = 52,
+                            .conflict_to = At(2, kDomainPort)});
+  watch_->Take(report, now_ns_);
+
+  const std::vector<Finding> found = PollAfter(kSecond);
+  ASSERT_THAT(found, ElementsAre(Begins("two_contents", kWriter)));
+  EXPECT_EQ(found[0].topic, "/cmd_vel");
+  EXPECT_EQ(found[0].detail, absl::StrCat("sample 7 goes to 10.0.0.2:", kDomainPort,
+                                          " with another content than elsewhere"));
+  const std::vector<SecondContent> second = watch_->TakeSecondContents();
+  ASSERT_THAT(second, SizeIs(1));
+  EXPECT_EQ(second[0].number, 7);
+  EXPECT_EQ(second[0].size, 52);
+  // As long as the writer lives.
+  EXPECT_THAT(PollAfter(600 * kSecond), IsEmpty());
+  watch_->WriterGone(kWriter, now_ns_);
+  EXPECT_THAT(PollAfter(kSecond), ElementsAre(IsOver("two_contents", kWriter)));
 }
 
 // --------------------------------------------------------------------------------------- limits
@@ -479,6 +530,40 @@ TEST_F(WireWatchTest, BlindBeyondTheLimitsOfDiscovery) {
   Reset({.domain = 42, .known_participants = 1});
   MeetRobot();
   watch_->ParticipantSeen(TestGuid(9, 0x1c1), {});
+  EXPECT_TRUE(watch_->blind());
+}
+
+TEST_F(WireWatchTest, SeesAgainWhenThereIsRoom) {
+  Reset({.domain = 42, .known_writers = 4});
+  watch_->ParticipantSeen(kRobot, {kHome});
+  for (uint32_t i = 1; i <= 5; ++i) watch_->WriterSeen(TestGuid(1, 256 * i + 3), "/topic");
+  ASSERT_TRUE(watch_->blind());
+  EXPECT_FALSE(watch_->CanSeeAgain());
+  Send(kHidden, At(9, 50'000), At(1, kDomainPort));
+
+  watch_->WriterGone(TestGuid(1, 256 + 3), now_ns_);
+  PollAfter(10 * kSecond);
+  ASSERT_TRUE(watch_->CanSeeAgain());
+  watch_->Rediscover(now_ns_);
+  EXPECT_FALSE(watch_->blind());
+  Send(TestGuid(1, 256 * 5 + 3), kHome, At(2, kDomainPort));
+  EXPECT_THAT(PollAfter(kSecond), IsEmpty()) << "discovery is still being told";
+  watch_->ParticipantSeen(kRobot, {kHome});
+  for (uint32_t i = 2; i <= 5; ++i) watch_->WriterSeen(TestGuid(1, 256 * i + 3), "/topic");
+  EXPECT_FALSE(watch_->blind());
+
+  EXPECT_THAT(PollAfter(5 * kSecond), ElementsAre(Begins("unicast_writer", kHidden)));
+}
+
+TEST_F(WireWatchTest, IsBlindAgainIfThereIsTooMuchAgain) {
+  Reset({.domain = 42, .known_participants = 1});
+  watch_->ParticipantSeen(kRobot, {kHome});
+  watch_->ParticipantSeen(TestGuid(9, 0x1c1), {});
+  EXPECT_FALSE(watch_->CanSeeAgain());
+  watch_->Rediscover(now_ns_);
+  watch_->ParticipantSeen(kRobot, {kHome});
+  watch_->ParticipantSeen(TestGuid(9, 0x1c1), {});
+
   EXPECT_TRUE(watch_->blind());
 }
 

@@ -87,7 +87,7 @@ class World:
         driver.wait_for(lambda line: '"event":"first_sample"' in line, 15, f"{name} starts")
         return driver
 
-    def start_sensor(self):
+    def start_sensor(self, xml=None):
         """rips-sensor without a policy server: what it finds it also logs."""
         mint = [SOURCE / "deploy/pki/mint", "--dir", self.dir / "pki", "--trust-domain",
                 "wire.example"]
@@ -105,7 +105,7 @@ state_dir: {self.dir}/sensor
 metrics: ""
 """)
         sensor = self.start("sensor", self.robot, self.bin / "rips-sensor", "--config",
-                            self.dir / "sensor.yaml")
+                            self.dir / "sensor.yaml", xml=xml)
         sensor.wait_for(lambda line: " watching " in line, 15, "the sensor starts")
         return sensor
 
@@ -113,9 +113,9 @@ metrics: ""
         return self.start("tap", self.robot, self.bin / "rips-wire", "--domain", self.domain,
                           "--socket", self.socket, *options)
 
-    def watch(self):
+    def watch(self, xml=None):
         """Sensor and tap, connected."""
-        self.sensor = self.start_sensor()
+        self.sensor = self.start_sensor(xml)
         self.tap = self.start_tap()
         self.sensor.wait_for(lambda line: "rips-wire connected" in line, 15, "the tap connects")
 
@@ -231,8 +231,9 @@ class Sniffer:
             if at is None:
                 continue
             guid = writer_of(payload, at)
-            seen[guid] = seen.get(guid, 0) + 1
-            if seen[guid] == 5:
+            numbers = seen.setdefault(guid, set())
+            numbers.add(payload[at + 16:at + 24])
+            if len(numbers) == 5:
                 return payload, at
         raise Failed(f"no data of {address} is on the wire")
 
@@ -266,7 +267,15 @@ def writer_of(payload, at):
 
 def with_sequence(payload, at, sequence):
     order = "<" if payload[at + 1] & 1 else ">"
-    return payload[:at + 16] + struct.pack(order + "iI", 0, sequence) + payload[at + 24:]
+    return (payload[:at + 16] + struct.pack(order + "iI", *divmod(sequence, 1 << 32)) +
+            payload[at + 24:])
+
+
+def heartbeat(payload, at, first, last):
+    """HEARTBEAT of the writer of that DATA, to all readers."""
+    numbers = struct.pack("<iIiII", *divmod(first, 1 << 32), *divmod(last, 1 << 32), 1)
+    return (payload[:20] + struct.pack("<BBH", 7, 1, 28) + bytes(4) + payload[at + 12:at + 16] +
+            numbers)
 
 
 def send_from(namespace, payload, port, source_port=0):
@@ -331,7 +340,9 @@ def injected_data(world):
     found = world.wait_finding("spoofed_writer", guid=guid)
     check(found["detail"].startswith(f"{OTHER}:45678 sends under this name"), f"{found}")
     check(found["topic"] == "/cmd_vel" and found["node"] == "/driver", f"{found}")
-    check(len(world.findings()) == 1, f"more was found: {world.findings()}")
+    # Where the true writer says by HEARTBEAT how far it is, the forged number is found, too.
+    kinds = {each["kind"] for each in world.findings()}
+    check(kinds <= {"spoofed_writer", "sequence_jump"}, f"more was found: {world.findings()}")
 
 
 def injected_data_from_the_same_host(world):
@@ -386,7 +397,7 @@ def directed_data(world):
     world.wait_samples(victim, start=len(victim.lines))
     # Its node's name is data, too, and does not reach us either.
     kinds = {each["kind"] for each in world.findings()}
-    check(kinds == {"directed_data", "non_ros_writer"}, f"{world.findings()}")
+    check({"directed_data"} <= kinds <= {"directed_data", "non_ros_writer"}, f"{world.findings()}")
 
 
 def undirected_data(world):
@@ -403,6 +414,76 @@ def undirected_data(world):
     world.wait_samples(victim, start=len(victim.lines))
     check(not world.findings(), f"found in quiet traffic: {world.findings()}")
     check(not told(fleet, "finding"), f"told without a reason: {told(fleet, 'finding')}")
+
+
+FAR = 1 << 40
+# Seconds from the attack to its finding.
+SOON = 5
+
+
+def watch_writer(world, topic):
+    """A writer of the robot, read by sensor and victim: DATA of it, its offset, the GUID."""
+    world.start_probe("victim", world.robot, topic, xml=at_index(VICTIM_INDEX))
+    world.watch(xml=at_index(SENSOR_INDEX))
+    sniffer = Sniffer(world, world.robot)
+    if topic == "/cmd_vel":
+        world.start_driver("driver", world.robot, xml=USUAL)
+    else:
+        world.start("latched", world.robot, world.bin / "dds_peer", "--domain", world.domain,
+                    "--interface", "eth0", "--node", "/latched", "--publish",
+                    f"rt{topic},geometry_msgs::msg::dds_::Twist_,latched", "--bytes", 52,
+                    "--readers", 2, xml=USUAL)
+    payload, at = sniffer.data_from(ROBOT)
+    sniffer.close()
+    return payload, at, writer_of(payload, at)
+
+
+def number_far_ahead(world):
+    """One datagram to the sensor alone, which makes its reader drop all that the writer sends."""
+    payload, at, guid = watch_writer(world, "/cmd_vel")
+
+    send_from(world.robot, with_sequence(payload, at, FAR), data_port(world.domain, SENSOR_INDEX))
+
+    world.wait_finding("sequence_jump", SOON, guid=guid)
+
+
+def heartbeat_far_ahead(world):
+    """The same by HEARTBEAT, for a reliable reader."""
+    payload, at, guid = watch_writer(world, "/map")
+
+    send_from(world.robot, heartbeat(payload, at, FAR, FAR), data_port(world.domain, SENSOR_INDEX))
+
+    world.wait_finding("sequence_jump", SOON, guid=guid)
+
+
+def two_contents(world):
+    """The victim gets other bytes than the sensor, from the same writer and under the same number."""
+    world.start_probe("victim", world.robot, xml=at_index(VICTIM_INDEX))
+    fleet = world.watch_and_tell(READS_COMMANDS)
+    sniffer = Sniffer(world, world.robot)
+    world.start_driver("driver", world.robot, xml=USUAL)
+    payload, at = sniffer.data_from(ROBOT)
+    sniffer.close()
+    order = "<H" if payload[at + 1] & 1 else ">H"
+    length = struct.unpack(order, payload[at + 2:at + 4])[0]
+    last = at + 3 + length if length > 0 else len(payload) - 1
+    other = payload[:last] + bytes([payload[last] ^ 0x40]) + payload[last + 1:]
+
+    send_from(world.robot, other, data_port(world.domain, VICTIM_INDEX))
+
+    guid = writer_of(payload, at)
+    found = world.wait_finding("two_contents", SOON, guid=guid, topic="/cmd_vel", node="/driver")
+    port = data_port(world.domain, VICTIM_INDEX)
+    check(f" goes to {ROBOT}:{port} with another content" in found["detail"], f"{found}")
+    deadline = time.monotonic() + SOON
+    wanted = ("it sends others what does not come to us",
+              "wire tap: a writer sends others what does not come to the sensor", "two_contents")
+    while True:
+        code, text, _ = fleet.ripsctl("robot", "coverage", "r1", check=False)
+        if code == 1 and all(words in text for words in wanted):
+            return
+        check(time.monotonic() < deadline, f"coverage ends with {code}: {text}")
+        time.sleep(0.2)
 
 
 def quiet_traffic(world):
@@ -491,7 +572,8 @@ def tap_tells_what_is_wrong_with_its_flags(world):
 
 
 SCENARIOS = [unicast_only_writer, unicast_only_writer_to_a_port_of_the_kernel, injected_data,
-             injected_data_from_the_same_host, directed_data, undirected_data, quiet_traffic, tap_and_sensor_come_and_go,
+             injected_data_from_the_same_host, directed_data, undirected_data, number_far_ahead,
+             heartbeat_far_ahead, two_contents, quiet_traffic, tap_and_sensor_come_and_go,
              tap_gives_up_its_privileges, tap_ends_with_its_interface,
              tap_tells_what_is_wrong_with_its_flags]
 

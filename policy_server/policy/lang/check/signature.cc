@@ -23,9 +23,9 @@ constexpr absl::string_view kSensorStates[] = {"connected", "lost", "restarting"
 constexpr absl::string_view kActuatorStates[] = {"connected", "lost", "drift", "failed",
                                                  "state_lost"};
 constexpr absl::string_view kFindings[] = {
-    "duplicate_node", "impostor",       "false_claim",    "foreign_mode_writer",
-    "rival_server",   "non_ros_writer", "non_ros_reader", "unauthenticated",
-    "unicast_writer", "spoofed_writer", "directed_data",  "sequence_jump"};
+    "duplicate_node", "impostor",       "false_claim",     "foreign_mode_writer", "rival_server",
+    "non_ros_writer", "non_ros_reader", "unauthenticated", "unicast_writer",      "spoofed_writer",
+    "directed_data",  "two_contents",   "sequence_jump"};
 // All of them together, then each.
 constexpr auto kStandingFindings = [] {
   std::array<absl::string_view, std::size(kFindings) + 1> words = {"any"};
