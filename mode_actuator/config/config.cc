@@ -15,6 +15,7 @@
 #include "services/base/status_macros.h"
 #include "services/ros2/ros_name.h"
 #include "services/runtime/config_reader.h"
+#include "services/runtime/log.h"
 #include "services/text/quote.h"
 
 namespace rips::actuator {
@@ -223,11 +224,25 @@ void ReadModesOptions(const ConfigSection& section, ModesOptions* options) {
   }
 }
 
+void CheckTopics(const ConfigSection& section, const std::vector<std::string>& topics) {
+  constexpr absl::string_view kKey = "published_while_inactive";
+  if (topics.size() > model::kTopicsWhileInactiveMax) {
+    section.Problem(
+        kKey, absl::StrCat(topics.size(), " topics exceed limit ", model::kTopicsWhileInactiveMax));
+  }
+  for (const std::string& topic : topics) {
+    const absl::Status valid = ros2::ValidateTopicName(topic);
+    if (!valid.ok()) section.Problem(kKey, valid.message());
+  }
+}
+
 void ReadSystemModes(const ConfigSection& root, Config* config) {
   const ConfigSection section = root.OptionalSection("system_modes");
   if (section.present()) {
     ReadPath(section, "smh", &config->smh_file);
     ReadModesOptions(section, &config->modes);
+    section.Optional("published_while_inactive", &config->published_while_inactive);
+    CheckTopics(section, config->published_while_inactive);
   } else if (!ModeTargets(config->levels).empty()) {
     root.Problem("levels", "has `system_mode` steps but there is no `system_modes` section");
   }
@@ -303,7 +318,40 @@ std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, co
   for (const auto& [part, mode] : ModeTargets(levels)) add(part);
   for (const auto& [part, system] : smh.systems) add(part);
   for (const auto& [part, node] : smh.nodes) add(part);
+  if (parts.size() == kProtectedPartsMax) {
+    LogWarning("sensors monitor only the first parts", {{"parts", kProtectedPartsMax}});
+  }
   return parts;
+}
+
+std::vector<model::InactiveParts> InactiveParts(const std::vector<LevelSpec>& levels,
+                                                const Smh& smh,
+                                                const std::vector<std::string>& parts) {
+  const std::set<std::string> named(parts.begin(), parts.end());
+  std::vector<model::InactiveParts> all;
+  for (const LevelSpec& level : levels) {
+    std::map<std::string, PartState> states;
+    const auto take = [&](const std::vector<Step>& steps, bool only_active) {
+      for (const Step& step : steps) {
+        const auto* mode = std::get_if<SystemModeStep>(&step.what);
+        if (mode == nullptr) continue;
+        const auto expected = smh.Expected(mode->part, mode->mode);
+        if (!expected.ok()) continue;
+        for (const ExpectedPart& node : *expected) {
+          if (only_active && node.state != PartState::kActive) continue;
+          states[node.node] = node.state;
+        }
+      }
+    };
+    take(level.enter, false);
+    take(level.on_drift, true);
+    model::InactiveParts inactive{.level = level.name, .parts = {}};
+    for (const auto& [node, state] : states) {
+      if (state == PartState::kInactive && named.contains(node)) inactive.parts.push_back(node);
+    }
+    if (!states.empty()) all.push_back(std::move(inactive));
+  }
+  return all;
 }
 
 absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh) {

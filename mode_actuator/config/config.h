@@ -15,6 +15,7 @@
 #include "mode_actuator/steps/port/part_modes.h"
 #include "mode_actuator/steps/program/exec_config.h"
 #include "mode_actuator/steps/system_mode/smh.h"
+#include "services/model/receipt.h"
 #include "services/runtime/config_sections.h"
 
 namespace rips::actuator {
@@ -40,6 +41,8 @@ struct Config {
   std::string smh_file;            // empty: no level has a system mode
   // `fallback` is kNone if only the mode manager is read back, unless the file says otherwise.
   ModesOptions modes;
+  // Topics that nodes publish although the level has them inactive.
+  std::vector<std::string> published_while_inactive;
   std::vector<AlarmSpec> devices;  // alarms
   std::vector<LevelSpec> levels;   // least restrictive first, as in the bundle
   std::vector<ProgramSpec> programs;
@@ -68,11 +71,18 @@ std::vector<std::pair<std::string, std::string>> ModeTargets(const std::vector<L
 
 // Full names of the parts that only these steps control: those of the levels, then those of the SMH
 // file, each once; no systems if the nodes are always ordered directly, since nothing on the robot
-// need have such a name then. At most kProtectedPartsMax; names that no ROS node can have are left
-// out.
+// need have such a name then. At most kProtectedPartsMax, which is logged; names that no ROS node
+// can have are left out.
 inline constexpr size_t kProtectedPartsMax = 256;
 std::vector<std::string> ProtectedParts(const std::vector<LevelSpec>& levels, const Smh& smh,
                                         Backend backend);
+
+// The nodes that each level has inactive once its steps have set their modes, by level; of `parts`
+// alone. Not those that its on_drift steps have active. What CheckLevelsAgainstSmh refuses is left
+// out.
+std::vector<model::InactiveParts> InactiveParts(const std::vector<LevelSpec>& levels,
+                                                const Smh& smh,
+                                                const std::vector<std::string>& parts);
 
 // InvalidArgument if a level names a part or mode that the SMH file does not have.
 absl::Status CheckLevelsAgainstSmh(const Config& config, const Smh& smh);

@@ -415,6 +415,39 @@ cam: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1
   EXPECT_EQ(parts[1], "/zoom") << "those of the levels first";
 }
 
+TEST(ConfigTest, WhatALevelHasInactiveFollowsItsSteps) {
+  const auto smh = ParseSmh(R"(
+safety:
+  ros__parameters:
+    type: system
+    modes:
+      __DEFAULT__: {cam: active, drive: active}
+      HALT: {cam: inactive, drive: inactive}
+cam: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1}}}}}
+drive: {ros__parameters: {type: node, modes: {__DEFAULT__: {ros__parameters: {a: 1}}}}}
+)");
+  ASSERT_THAT(smh, IsOk());
+  const auto step = [](const char* part, const char* mode) {
+    return Step{.what = SystemModeStep{.part = part, .mode = mode}};
+  };
+  std::vector<LevelSpec> levels(5);
+  levels[0] = {.name = "DEFAULT", .enter = {step("/safety", "__DEFAULT__")}};
+  levels[1] = {.name = "LOGGED", .enter = {{.what = ProgramStep{.name = "log"}}}};
+  levels[2] = {.name = "HALT", .enter = {step("/safety", "HALT")}};
+  levels[3] = {.name = "LOOK", .enter = {step("/safety", "HALT"), step("/cam", "__DEFAULT__")}};
+  levels[4] = levels[2];
+  levels[4].name = "LAST";
+  levels[4].on_drift = {step("/cam", "__DEFAULT__")};
+  EXPECT_THAT(InactiveParts(levels, *smh, {"/safety", "/cam", "/drive"}),
+              ElementsAre(model::InactiveParts{"DEFAULT", {}},
+                          model::InactiveParts{"HALT", {"/cam", "/drive"}},
+                          model::InactiveParts{"LOOK", {"/drive"}},
+                          model::InactiveParts{"LAST", {"/drive"}}));
+  EXPECT_THAT(InactiveParts({levels[2]}, *smh, {"/safety", "/cam"}),
+              ElementsAre(model::InactiveParts{"HALT", {"/cam"}}))
+      << "a part that is not named to the server is none";
+}
+
 TEST(ConfigTest, EveryCutIsReadOrRefusedWithoutHarm) {
   for (size_t length = 0; length < kConfig.size(); ++length) {
     ParseConfig("a.yaml", kConfig.substr(0, length)).status().IgnoreError();

@@ -426,9 +426,8 @@ void Agent::Impl::StartDownlink(const LoadedConfig& loaded, rpc::CredentialsSour
     if (!program.script) options.programs.push_back(program.name);
   }
   options.protected_parts = ProtectedParts(config_.levels, loaded.smh, config_.modes.backend);
-  if (options.protected_parts.size() == kProtectedPartsMax) {
-    LogWarning("sensors monitor only the first parts", {{"parts", kProtectedPartsMax}});
-  }
+  options.inactive_parts = InactiveParts(config_.levels, loaded.smh, options.protected_parts);
+  options.published_while_inactive = config_.published_while_inactive;
   if (participant_ != nullptr) options.participant = participant_->guid();
 
   Downlink::Callbacks callbacks;

@@ -75,19 +75,21 @@ class Downlink::Impl {
     heartbeat_ns_ = model::kHeartbeatNs;
     const ExecutorReport report = callbacks_.connected();
     v1::ActuatorMessage message;
-    *message.mutable_hello() =
-        model_proto::Encode(model::ActuatorHello{.levels = options_.levels,
-                                                 .programs = options_.programs,
-                                                 .decision_id = report.decision_id,
-                                                 .decided_level = report.decided,
-                                                 .effective_level = report.effective,
-                                                 .highest_term = report.highest_term,
-                                                 .state_lost = report.state_lost,
-                                                 .fail_safe_level = options_.fail_safe_level,
-                                                 .participant = options_.participant,
-                                                 .protected_parts = options_.protected_parts,
-                                                 .last_audit_head = callbacks_.audit_head(),
-                                                 .clock = clock_->Now()});
+    *message.mutable_hello() = model_proto::Encode(
+        model::ActuatorHello{.levels = options_.levels,
+                             .programs = options_.programs,
+                             .decision_id = report.decision_id,
+                             .decided_level = report.decided,
+                             .effective_level = report.effective,
+                             .highest_term = report.highest_term,
+                             .state_lost = report.state_lost,
+                             .fail_safe_level = options_.fail_safe_level,
+                             .participant = options_.participant,
+                             .protected_parts = options_.protected_parts,
+                             .inactive_parts = options_.inactive_parts,
+                             .published_while_inactive = options_.published_while_inactive,
+                             .last_audit_head = callbacks_.audit_head(),
+                             .clock = clock_->Now()});
     v1::Hello* hello = message.mutable_hello()->mutable_hello();
     hello->set_version(std::string(RipsVersion()));
     hello->set_incarnation(options_.incarnation);

@@ -38,6 +38,8 @@ class Downlink {
     std::string fail_safe_level;
     std::vector<std::string> programs;
     std::vector<std::string> protected_parts;
+    std::vector<model::InactiveParts> inactive_parts;
+    std::vector<std::string> published_while_inactive;
     ros2::Guid participant;               // none without DDS
     std::vector<ConfigSetting> settings;  // shown to operators
   };

@@ -259,7 +259,8 @@ class FakeOperator final : public FakeEnrolOperator {
     if (receipts_after_approval.has_value()) receipts = *receipts_after_approval;
     return Remember(absl::StrCat("Approve ", request->robot(), " ", request->pending_approval_id(),
                                  " ", request->reason(), request->reject() ? " reject" : "",
-                                 request->accept_blind() ? " accept-blind" : ""));
+                                 request->accept_blind() ? " accept-blind" : "",
+                                 request->accept_changes() ? " accept-changes" : ""));
   }
 
  private:

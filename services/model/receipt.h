@@ -64,6 +64,17 @@ struct Receipt {
   friend bool operator==(const Receipt&, const Receipt&) = default;
 };
 
+// Parts that a level has inactive.
+struct InactiveParts {
+  std::string level;
+  // Full names.
+  std::vector<std::string> parts;
+
+  friend bool operator==(const InactiveParts&, const InactiveParts&) = default;
+};
+// Of ActuatorHello.
+inline constexpr size_t kTopicsWhileInactiveMax = 64;
+
 struct ActuatorHello {
   std::vector<std::string> levels;
   std::vector<std::string> programs;
@@ -79,6 +90,10 @@ struct ActuatorHello {
   ros2::Guid participant;
   // Full names of the parts whose modes its levels set.
   std::vector<std::string> protected_parts;
+  // What each level has inactive, of protected_parts; empty = not known.
+  std::vector<InactiveParts> inactive_parts;
+  // Topics that these parts publish all the same.
+  std::vector<std::string> published_while_inactive;
   // The newest that a server granted a lease with.
   AuditHead last_audit_head;
   Instant clock;

@@ -224,6 +224,18 @@ rips::v1::ActuatorHello Encode(const model::ActuatorHello& hello) {
   for (const std::string& level : hello.levels) wire.add_levels(level);
   for (const std::string& program : hello.programs) wire.add_programs(program);
   for (const std::string& part : hello.protected_parts) wire.add_protected_parts(part);
+  for (const model::InactiveParts& inactive : hello.inactive_parts) {
+    rips::v1::InactiveParts& out = *wire.add_inactive_parts();
+    out.set_level(inactive.level);
+    for (const std::string& part : inactive.parts) {
+      const auto at = std::find(hello.protected_parts.begin(), hello.protected_parts.end(), part);
+      if (at == hello.protected_parts.end()) continue;
+      out.add_parts(static_cast<uint32_t>(at - hello.protected_parts.begin()));
+    }
+  }
+  for (const std::string& topic : hello.published_while_inactive) {
+    wire.add_published_while_inactive(topic);
+  }
   if (!hello.decision_id.none()) Encode(hello.decision_id, *wire.mutable_decision_id());
   wire.set_decided_level(hello.decided_level);
   wire.set_effective_level(hello.effective_level);
@@ -267,6 +279,21 @@ absl::StatusOr<model::ActuatorHello> Decode(const rips::v1::ActuatorHello& wire)
   for (const std::string& part : wire.protected_parts()) {
     RIPS_RETURN_IF_ERROR(ros2::ValidateNodeName(part));
     hello.protected_parts.push_back(part);
+  }
+  for (const rips::v1::InactiveParts& inactive : wire.inactive_parts()) {
+    model::InactiveParts& out = hello.inactive_parts.emplace_back();
+    out.level = inactive.level();
+    for (const uint32_t part : inactive.parts()) {
+      if (part >= hello.protected_parts.size()) {
+        return absl::InvalidArgumentError(
+            absl::StrCat("inactive part ", part, " of ", hello.protected_parts.size()));
+      }
+      out.parts.push_back(hello.protected_parts[part]);
+    }
+  }
+  for (const std::string& topic : wire.published_while_inactive()) {
+    RIPS_RETURN_IF_ERROR(ros2::ValidateTopicName(topic));
+    hello.published_while_inactive.push_back(topic);
   }
   return hello;
 }

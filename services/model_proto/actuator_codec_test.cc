@@ -50,6 +50,25 @@ TEST(ActuatorCodecTest, PartsThatAreNoNamesAreRefused) {
   }
 }
 
+TEST(ActuatorCodecTest, InactivePartsAreNamedByTheirPlaces) {
+  rips::v1::ActuatorHello hello = Hello();
+  hello.add_protected_parts("/safety");
+  hello.add_protected_parts("/camera");
+  rips::v1::InactiveParts& inactive = *hello.add_inactive_parts();
+  inactive.set_level("ALERT");
+  inactive.add_parts(1);
+  hello.add_published_while_inactive("/camera/health");
+  const auto decoded = Decode(hello);
+  ASSERT_THAT(decoded, IsOk());
+  EXPECT_THAT(decoded->inactive_parts, ElementsAre(model::InactiveParts{"ALERT", {"/camera"}}));
+  EXPECT_THAT(decoded->published_while_inactive, ElementsAre("/camera/health"));
+  inactive.add_parts(2);
+  EXPECT_TRUE(absl::IsInvalidArgument(Decode(hello).status())) << "no such part";
+  inactive.clear_parts();
+  hello.add_published_while_inactive("/a b");
+  EXPECT_TRUE(absl::IsInvalidArgument(Decode(hello).status())) << "no topic";
+}
+
 TEST(ActuatorCodecTest, AsManyPartsAsTheLimitAreTaken) {
   rips::v1::ActuatorHello hello = Hello();
   for (int i = 0; i < 256; ++i) hello.add_protected_parts(absl::StrCat("/part", i));
@@ -186,7 +205,9 @@ TEST(ActuatorCodecTest, AHelloComesBackAsItWas) {
                                    .state_lost = true,
                                    .fail_safe_level = "keep",
                                    .participant = *ros2::GuidFromBytes(std::string(16, 'g')),
-                                   .protected_parts = {"/safety"},
+                                   .protected_parts = {"/safety", "/camera"},
+                                   .inactive_parts = {{"DEFAULT", {}}, {"HALT", {"/camera"}}},
+                                   .published_while_inactive = {"/camera/health"},
                                    .clock = {.boottime_ns = 5, .unix_ns = 6}};
   const auto back = Decode(Encode(hello));
   ASSERT_THAT(back, IsOk());
@@ -200,6 +221,8 @@ TEST(ActuatorCodecTest, AHelloComesBackAsItWas) {
   EXPECT_EQ(back->fail_safe_level, hello.fail_safe_level);
   EXPECT_EQ(back->participant, hello.participant);
   EXPECT_EQ(back->protected_parts, hello.protected_parts);
+  EXPECT_EQ(back->inactive_parts, hello.inactive_parts);
+  EXPECT_EQ(back->published_while_inactive, hello.published_while_inactive);
   EXPECT_EQ(back->clock.boottime_ns, 5);
   EXPECT_EQ(back->clock.unix_ns, 6);
 }

@@ -15,8 +15,12 @@ void Hello(const rips::v1::ActuatorHello& wire) {
   const auto hello = Decode(wire);
   if (!hello.ok()) return;
   RIPS_CHECK(hello->levels.size() <= 64 && hello->programs.size() <= 1'000 &&
-                 hello->protected_parts.size() <= 256,
+                 hello->protected_parts.size() <= 256 && hello->inactive_parts.size() <= 64 &&
+                 hello->published_while_inactive.size() <= model::kTopicsWhileInactiveMax,
              "past a limit");
+  for (const model::InactiveParts& inactive : hello->inactive_parts) {
+    RIPS_CHECK(inactive.parts.size() <= 256, "past a limit");
+  }
 }
 
 void Receipt(const rips::v1::Receipt& wire) {

@@ -183,6 +183,7 @@ Json ToJson(const v1::PendingApproval& pending) {
           {"operator", pending.operator_()},
           {"reason", pending.reason()},
           {"accept_blind", pending.accept_blind()},
+          {"changes", Strings(pending.changes())},
           {"asked", FullTime(pending.asked_unix_ns())},
           {"expires", FullTime(pending.expires_unix_ns())}};
 }

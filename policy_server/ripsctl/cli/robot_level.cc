@@ -3,6 +3,7 @@
 #include <nlohmann/json.hpp>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "absl/time/time.h"
 #include "policy_server/ripsctl/cli/command.h"
 #include "policy_server/ripsctl/cli/printer.h"
@@ -67,7 +68,10 @@ std::string PendingText(absl::string_view robot, const v1::PendingApproval& pend
                       " asked at ", ShortTime(pending.asked_unix_ns()), " to lower ", robot,
                       " from ", pending.from(), " to ", pending.to(),
                       pending.accept_blind() ? ", though the server may not see all of it" : "",
-                      "; until ", ShortTime(pending.expires_unix_ns()), ": ", pending.reason());
+                      "; until ", ShortTime(pending.expires_unix_ns()), ": ", pending.reason(),
+                      pending.changes().empty()
+                          ? ""
+                          : absl::StrCat("; since then: ", absl::StrJoin(pending.changes(), ", ")));
 }
 
 void PrintWarnings(const v1::LevelResponse& found, TextStream out) {

@@ -66,6 +66,7 @@ std::string StageText(const std::string& stage) {
       {"requested", "not every actuator has acknowledged it yet"},
       {"acknowledged", "the actuators carry it out; not each has read it back yet"},
       {"verified", "every actuator has read the level back"},
+      {"contradicted", "every actuator has read it back, and the robot shows that it is not so"},
       {"failed", "an actuator cannot reach the level; it tries again"},
       {"superseded", "a newer decision took its place before it was verified"},
   };

@@ -38,13 +38,16 @@ class ApproveLevel final : public RobotCommand {
     app.add_flag("--accept-blind", accept_blind_,
                  "Lower even if the server does not see all of the robot; the request must say "
                  "so, too");
+    app.add_flag("--accept-changes", accept_changes_,
+                 "Lower even if nodes or topics have come or gone since the request");
     app.add_flag("--wait", wait_, "Wait until the robot is at the level, for at most 30 s");
   }
   absl::Status Check() override {
     RIPS_RETURN_IF_ERROR(RobotCommand::Check());
     RIPS_RETURN_IF_ERROR(CheckReason(reason_));
-    if (reject_ && (accept_blind_ || wait_)) {
-      return absl::InvalidArgumentError("--reject goes with neither --accept-blind nor --wait");
+    if (reject_ && (accept_blind_ || accept_changes_ || wait_)) {
+      return absl::InvalidArgumentError(
+          "--reject goes with none of --accept-blind, --accept-changes and --wait");
     }
     bool hex = id_.size() >= kIdDigitsLeast && id_.size() <= kIdDigitsMost;
     for (const char c : id_) hex = hex && absl::ascii_isxdigit(static_cast<unsigned char>(c));
@@ -73,6 +76,7 @@ class ApproveLevel final : public RobotCommand {
     request.set_reason(reason_);
     request.set_reject(reject_);
     request.set_accept_blind(accept_blind_);
+    request.set_accept_changes(accept_changes_);
     request.set_request_id(absl::HexStringToBytes(NewId()));
     RIPS_ASSIGN_OR_RETURN(const v1::LevelResponse response, Call(env, &Stub::Approve, request));
     return Report(env, pending, response);
@@ -140,6 +144,7 @@ class ApproveLevel final : public RobotCommand {
   std::string reason_;
   bool reject_ = false;
   bool accept_blind_ = false;
+  bool accept_changes_ = false;
   bool wait_ = false;
   std::optional<absl::StatusOr<std::vector<FirewallOfHost>>> firewalls_;  // before; text only
 };

@@ -40,7 +40,7 @@ TEST_F(RipsctlTest, SaysThatALoweringWaitsForASecondOperator) {
       "r1 stays at DEFAULT until a second operator approves the lowering, before "
       "2026-01-01T00:00:00.000Z, with\n"
       "  ripsctl level approve r1 33333333 --reason TEXT --wait\n"
-      "it must be asked for again if the level, the ROS graph or the rules change before that, "
+      "it must be asked for again if the level, the rules or what they judge change before that, "
       "or the server restarts\n");
   const nlohmann::json json = RunJson(lower, 1);
   EXPECT_EQ(json["needs_approval"], true);
@@ -107,6 +107,15 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
             "2026-01-01T00:10:00.000Z: aisle\\x0ais clear\n"
             "r1 stays at DEFAULT\n");
   EXPECT_THAT(fake_.calls().back(), HasSubstr("reject"));
+  fake_.pending[0].add_changes("node /\nvisitor came");
+  fake_.pending[0].add_changes("node /camera left");
+  EXPECT_THAT(
+      Run({"level", "approve", "r1", "33333333", "--reason", "x", "--accept-changes"}).out,
+      HasSubstr("aisle\\x0ais clear; since then: node /\\x0avisitor came, node /camera left\n"));
+  EXPECT_THAT(fake_.calls().back(), HasSubstr(" accept-changes"));
+  EXPECT_EQ(RunJson({"level", "show", "r1"})["pending_approvals"][0]["changes"][1],
+            "node /camera left");
+  fake_.pending[0].clear_changes();
   EXPECT_EQ(RunJson({"level", "approve", "r1", "33333333", "--reason", "x"})["decision_id"],
             "3.18");
 
@@ -123,6 +132,10 @@ TEST_F(RipsctlTest, ApprovesWhatItShowed) {
   EXPECT_EQ(Run({"level", "approve", "r1", "333333"}).code, 2) << "a reason is required";
   EXPECT_EQ(Run({"level", "approve", "r1", "333333", "--reason", "x", "--reject", "--wait"}).code,
             2);
+  EXPECT_EQ(
+      Run({"level", "approve", "r1", "333333", "--reason", "x", "--reject", "--accept-changes"})
+          .code,
+      2);
   fake_.pending = {};
   EXPECT_THAT(Run({"level", "approve", "r1", "333333", "--reason", "x"}).err,
               HasSubstr("nor any other; if one did, `ripsctl alert list r1` says why"));

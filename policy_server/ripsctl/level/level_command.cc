@@ -204,7 +204,7 @@ class ChangeLevel : public RobotCommand {
             << ShortTime(response.approval_expires_unix_ns()) << ", with\n  ripsctl level approve "
             << robot_ << " " << ShellWord(ShortId(response.pending_approval_id()))
             << " --reason TEXT --wait" << (request_.accept_blind() ? " --accept-blind" : "") << "\n"
-            << "it must be asked for again if the level, the ROS graph or the rules change "
+            << "it must be asked for again if the level, the rules or what they judge change "
                "before that, or the server restarts\n";
     PrintWarnings(response, env.out);
   }

@@ -134,6 +134,7 @@ grpc::ServerUnaryReactor* OperatorService::Approve(grpc::CallbackServerContext* 
                                 .reason = request->reason(),
                                 .reject = request->reject(),
                                 .accept_blind = request->accept_blind(),
+                                .accept_changes = request->accept_changes(),
                                 .request_id = RequestKey(*who, "Approve", request->request_id())};
   auto* reactor = new UnaryCall(who->ticket, who->on_refused);
   const absl::Status asked = requesters_.Check(order.id, access_.watch->gate());

@@ -27,6 +27,7 @@ rips::v1::PendingApproval EncodePending(const pipeline::PendingApproval& pending
   out.set_accept_blind(pending.accept_blind);
   out.set_asked_unix_ns(pending.asked_unix_ns);
   out.set_expires_unix_ns(pending.expires_unix_ns);
+  for (const std::string& change : pending.changes) out.add_changes(change);
   return out;
 }
 

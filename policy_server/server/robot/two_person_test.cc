@@ -172,12 +172,13 @@ TEST_F(TwoPersonTest, ADryRunSaysItAndAsksNobody) {
 
 TEST_F(TwoPersonTest, IsOverWhenTheRobotIsAnotherOne) {
   StartAt("COMPROMISED", {"COMPROMISED", "HALT"});
-  const std::string of_graph = Ask("ALERT").pending_approval_id;
+  const std::string of_rule = Ask("DEFAULT").pending_approval_id;
   IntruderAppears();
-  const LevelAnswer graph = Approve(of_graph);
-  EXPECT_THAT(graph.status, StatusIs(absl::StatusCode::kFailedPrecondition));
-  EXPECT_THAT(graph.status.message(), HasSubstr("the robot's graph has changed: /intruder came"));
+  const LevelAnswer rule = Approve(of_rule);
+  EXPECT_THAT(rule.status, StatusIs(absl::StatusCode::kFailedPrecondition));
+  EXPECT_THAT(rule.status.message(), HasSubstr("rule unknown_node asked for ALERT since"));
   EXPECT_THAT(PendingNow(), IsEmpty());
+  IntruderLeaves();
 
   const std::string of_level = Ask("ALERT").pending_approval_id;
   Raise("HALT");
@@ -195,6 +196,112 @@ TEST_F(TwoPersonTest, IsOverWhenTheRobotIsAnotherOne) {
   EXPECT_THAT(Approve(of_time).status, StatusIs(absl::StatusCode::kNotFound));
   EXPECT_EQ(Level(), "HALT");
   EXPECT_EQ(audience_.Count("cannot be approved any more: it was not approved within 10"), 1);
+}
+
+TEST_F(TwoPersonTest, IsOverOnAGraphOnWhichARuleWouldRaiseItAgain) {
+  two_person_ = {"COMPROMISED", "HALT"};
+  Start(R"(
+levels: DEFAULT; ALERT; COMPROMISED; HALT;
+rules Graph:
+  stranger: !nodesinclude("/camera", "/navigator", "/rips") && CurrLevel < COMPROMISED ?
+    trigger(COMPROMISED);
+  alert: false ? trigger(ALERT);
+  halt: false ? trigger(HALT);
+)");
+  Arm();
+  Raise("HALT");
+  const std::string id = Ask("ALERT").pending_approval_id;
+  IntruderAppears();
+  EXPECT_THAT(Approve(id, "bob", {.accept_changes = true}).status,
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("graph has changed, and rule stranger would raise it again: node "
+                                 "/intruder came")));
+  // Who asks now sees that.
+  const std::string seen = Ask("ALERT").pending_approval_id;
+  EXPECT_THAT(Approve(seen).status, IsOk());
+}
+
+// A participant that comes and goes needs no key.
+TEST_F(TwoPersonTest, VisitorsWhomNothingIsJudgedByDoNotEndIt) {
+  StartAt("COMPROMISED", {"COMPROMISED", "HALT"});
+  const std::string id = Ask("ALERT").pending_approval_id;
+  for (uint8_t i = 20; i < 40; ++i) {
+    ros2::GraphDelta came;
+    came.upsert_participants.push_back({.guid = Participant(i)});
+    SendDelta(std::move(came));
+    Pass(500);
+    EXPECT_THAT(PendingNow(), SizeIs(1));
+    if (i + 1 == 40) break;
+    ros2::GraphDelta left;
+    left.gone_guids = {Participant(i)};
+    SendDelta(std::move(left));
+    Pass(500);
+  }
+  EXPECT_THAT(PendingNow()[0].changes, IsEmpty()) << "nobody can judge it";
+  EXPECT_THAT(Approve(id).status, IsOk()) << "while one is there";
+  EXPECT_EQ(Level(), "ALERT");
+}
+
+TEST_F(TwoPersonTest, TheSecondOperatorAcceptsWhatElseHasChanged) {
+  StartAt("COMPROMISED", {"COMPROMISED", "HALT"});
+  const std::string id = Ask("ALERT").pending_approval_id;
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/visitor", "/chatter");
+  SendDelta(std::move(delta));
+  Pass(100);
+  ASSERT_THAT(PendingNow(), SizeIs(1));
+  EXPECT_THAT(PendingNow()[0].changes,
+              testing::ElementsAre("node /visitor came", "topic /chatter: /visitor publishes",
+                                   "topic /chatter: geometry_msgs/msg/Twist is a further type"));
+  const LevelAnswer refused = Approve(id);
+  EXPECT_THAT(refused.status, StatusIs(absl::StatusCode::kFailedPrecondition,
+                                       AllOf(HasSubstr("since it was asked for: node /visitor"),
+                                             HasSubstr("--accept-changes"))));
+  EXPECT_EQ(Level(), "COMPROMISED");
+  ASSERT_THAT(PendingNow(), SizeIs(1)) << "it goes on waiting";
+  EXPECT_THAT(Approve(id, "bob", {.accept_changes = true}).status, IsOk());
+  EXPECT_EQ(Level(), "ALERT");
+  EXPECT_THAT(recorder_.decisions.back().reason,
+              HasSubstr("; accepted: node /visitor came, topic"));
+}
+
+TEST_F(TwoPersonTest, ASecondDriverEndsItWhoeverAcceptsChanges) {
+  StartAt("COMPROMISED", {"COMPROMISED", "HALT"});
+  const std::string id = Ask("ALERT").pending_approval_id;
+  ros2::GraphDelta delta;
+  AddNode(&delta, 9, "/intruder", "/cmd_vel");
+  SendDelta(std::move(delta));
+  EXPECT_THAT(Approve(id, "bob", {.accept_changes = true}).status,
+              StatusIs(absl::StatusCode::kFailedPrecondition,
+                       HasSubstr("has changed: topic /cmd_vel: /intruder publishes")));
+  EXPECT_EQ(Level(), "COMPROMISED");
+  EXPECT_THAT(PendingNow(), IsEmpty());
+}
+
+// One that names itself like a known node, and one that no node claims.
+TEST_F(TwoPersonTest, NeitherAKnownNameNorNoneHidesADriver) {
+  StartAt("COMPROMISED", {"COMPROMISED", "HALT"});
+  for (const char* node : {"/navigator", ""}) {
+    const std::string id = Ask("ALERT").pending_approval_id;
+    ros2::GraphDelta delta;
+    AddNode(&delta, 9, "/navigator", "/cmd_vel");
+    delta.upsert_endpoints[0].node = node;
+    SendDelta(std::move(delta));
+    EXPECT_THAT(Approve(id, "bob", {.accept_changes = true}).status.message(),
+                HasSubstr("has changed: topic /cmd_vel: "));
+    IntruderLeaves();
+  }
+}
+
+TEST_F(TwoPersonTest, ManyChangesAreCounted) {
+  StartAt("COMPROMISED", {"COMPROMISED"});
+  Ask("ALERT");
+  ros2::GraphDelta delta;
+  for (uint8_t i = 20; i < 60; ++i) AddNode(&delta, i, absl::StrCat("/visitor", i));
+  SendDelta(std::move(delta));
+  ASSERT_THAT(PendingNow(), SizeIs(1));
+  EXPECT_THAT(PendingNow()[0].changes, SizeIs(16));
+  EXPECT_EQ(PendingNow()[0].changes.back(), "and 25 more");
 }
 
 TEST_F(TwoPersonTest, AWallClockThatJumpsDoesNotMakeItLast) {

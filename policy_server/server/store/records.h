@@ -130,7 +130,7 @@ struct RefusalRecord {
 // verified does not become superseded: the robot was there.
 struct StageUpdate {
   DecisionId decision_id;
-  // requested | acknowledged | verified | failed | superseded
+  // requested | acknowledged | verified | contradicted | failed | superseded
   std::string stage;
   // For people; may be empty.
   std::string detail;

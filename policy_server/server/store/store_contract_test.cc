@@ -303,6 +303,10 @@ TEST_P(StoreContractTest, WritingADecisionAgainChangesNothing) {
   stage.stages = {{.decision_id = {1, 1}, .stage = "superseded"}};
   ASSERT_THAT(store_->Commit(stage), IsOk());
   EXPECT_EQ(Transitions("r1")[0].stage, "verified") << "the robot was there";
+  stage.stages = {{.decision_id = {1, 1}, .stage = "contradicted", .detail = "/drive goes on"}};
+  ASSERT_THAT(store_->Commit(stage), IsOk());
+  EXPECT_EQ(Transitions("r1")[0].stage, "contradicted");
+  EXPECT_EQ(Transitions("r1")[0].detail, "/drive goes on");
 }
 
 TEST_P(StoreContractTest, ADecisionIdNamesOneDecisionForEver) {

@@ -60,6 +60,8 @@ absl::Status Obey(const Words& words, Robot& robot) {
     robot.With([&](ModeMachine& machine) { machine.SetPull(words[1], words[2]); });
   } else if (words.size() == 3 && verb == "stuck" && (words[2] == "on" || words[2] == "off")) {
     robot.With([&](ModeMachine& machine) { machine.SetStuck(words[1], words[2] == "on"); });
+  } else if (words.size() == 3 && verb == "goes_on" && (words[2] == "on" || words[2] == "off")) {
+    robot.With([&](ModeMachine& machine) { machine.SetGoesOn(words[1], words[2] == "on"); });
   } else {
     return Unknown(words);
   }

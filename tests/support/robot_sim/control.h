@@ -8,6 +8,7 @@
 //   pull FROM TO                                it leaves mode FROM for TO, as its own rules would
 //   lens cover|clear                            the camera sees black, or its picture again
 //   stuck NODE on|off                           the node's transitions fail
+//   goes_on NODE on|off                         it publishes also while it says that it is inactive
 //   go PLACE                                    it drives to this place of its floor
 //   person                                      a person walks across its floor
 #ifndef RIPS_TESTS_SUPPORT_ROBOT_SIM_CONTROL_H_

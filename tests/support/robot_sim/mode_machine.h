@@ -54,6 +54,8 @@ struct NodeState {
   bool configured = true;
   // Its transitions fail, and it takes no parameters.
   bool stuck = false;
+  // It publishes whatever its state is, as if another answered for it.
+  bool goes_on = false;
   // Keeps its value, as the parameters do, while the node is inactive.
   std::string mode;
   actuator::ParameterMap parameters;
@@ -89,6 +91,7 @@ class ModeMachine {
   void SetConduct(ManagerConduct conduct) { options_.conduct = conduct; }
   void SetPull(absl::string_view from, absl::string_view to);
   void SetStuck(absl::string_view node, bool stuck) { nodes_.at(std::string(node)).stuck = stuck; }
+  void SetGoesOn(absl::string_view node, bool on) { nodes_.at(std::string(node)).goes_on = on; }
   // Back to `unconfigured`.
   void Unconfigure(absl::string_view node);
   // As after the mode manager's restart: what was ordered is forgotten, and the system's state and

@@ -430,7 +430,7 @@ absl::Status Robot::SendPerson() {
 void Robot::CollectBeats(const Instant& now, std::vector<Outgoing>& out) {
   for (Beat& beat : beats_) {
     const NodeState& node = machine_.nodes().find(beat.spec->node)->second;
-    if (!node.active) {
+    if (!node.active && !node.goes_on) {
       beat.next_ns = 0;
       continue;
     }

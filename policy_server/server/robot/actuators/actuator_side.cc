@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <utility>
 
+#include "absl/container/inlined_vector.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 
@@ -76,6 +77,13 @@ void ActuatorSide::Arm(const input::ActuatorHello& in) {
                          .heartbeat = {.effective_level = hello.effective_level}};
   own_agents_.AddParticipant(Named(in.host), hello.participant);
   own_agents_.SetParts(Named(in.host), hello.protected_parts);
+  if (!witness_.SetParts(in.host, hello) && !hello.protected_parts.empty() &&
+      !std::exchange(host.silence_reported, true)) {
+    alerts_.Raise(engine::Severity::kInfo,
+                  absl::StrCat("actuator ", in.host,
+                               " does not say which nodes its levels have inactive, as older "
+                               "versions do not: whether they go on publishing is not checked"));
+  }
   const levels::LevelIndex held = levels().Find(hello.decided_level).value_or(levels().size() - 1);
   reconciler_.Attach(in.host, hello.decision_id, held, levels().name(held), hello.programs,
                      context_.now());
@@ -378,41 +386,76 @@ void ActuatorSide::ReportMissingPrograms() {
 
 // --------------------------------------------------------------------------- what is known
 
-engine::Actuation ActuatorSide::UpdateStage() {
+Stage ActuatorSide::stage() const {
   const Stage stage = reconciler_.stage();
-  if (stage != reported_stage_) {
-    reported_stage_ = stage;
-    newest_.reached |= stage == Stage::kVerified;
-    // That an actuator is away does not undo that the level was reached.
-    if (!newest_.reached || stage == Stage::kVerified || stage == Stage::kFailed) {
-      outbox_.AddStage({.decision_id = reconciler_.decision_id(),
-                        .stage = std::string(ToString(stage)),
-                        .detail = reconciler_.failure()});
+  return stage == Stage::kVerified && !witness_.contradiction().empty() ? Stage::kContradicted
+                                                                        : stage;
+}
+
+void ActuatorSide::UpdateWitness() {
+  if (reconciler_.stage() != Stage::kVerified) return witness_.End();
+  absl::InlinedVector<LevelWitness::Holder, 2> holders;
+  for (const auto& [name, host] : hosts_) {
+    // Until the next heartbeat it may say where it was before.
+    absl::string_view held = reconciler_.level_name();
+    if (host.session) {
+      const std::string& effective = host.session->heartbeat.effective_level;
+      if (levels().Find(effective).value_or(0) > reconciler_.level()) held = effective;
     }
-    if (stage == Stage::kVerified && newest_.failure_reported &&
-        !std::exchange(newest_.recovery_reported, true)) {
-      alerts_.Raise(engine::Severity::kInfo, absl::StrCat("level ", reconciler_.level_name(),
-                                                          " is reached now, and verified"));
-    }
-    if (stage == Stage::kFailed && !std::exchange(newest_.failure_reported, true)) {
-      alerts_.Raise(engine::Severity::kCritical,
-                    absl::StrCat("level ", reconciler_.level_name(),
-                                 " was not reached: ", reconciler_.failure(),
-                                 "; the decision stands and is tried again"));
-      context_.events.push_back(engine::AgentEvent{.agent = "actuator", .state = "failed"});
-    }
+    holders.push_back({.host = name, .level = held});
   }
+  witness_.Update(reconciler_.decision_id(), reconciler_.level_name(), holders, context_.now_ns());
+}
+
+void ActuatorSide::ReportStage(Stage before, Stage stage) {
+  newest_.reached |= stage == Stage::kVerified;
+  // That an actuator is away does not undo that the level was reached.
+  if (!newest_.reached || stage == Stage::kVerified || stage == Stage::kFailed ||
+      stage == Stage::kContradicted) {
+    outbox_.AddStage({.decision_id = reconciler_.decision_id(),
+                      .stage = std::string(ToString(stage)),
+                      .detail = stage == Stage::kContradicted ? witness_.contradiction()
+                                                              : reconciler_.failure()});
+  }
+  const std::string level = absl::StrCat("level ", reconciler_.level_name());
+  if (stage == Stage::kVerified && newest_.failure_reported &&
+      !std::exchange(newest_.recovery_reported, true)) {
+    alerts_.Raise(engine::Severity::kInfo, absl::StrCat(level, " is reached now, and verified"));
+  } else if (stage == Stage::kVerified && before == Stage::kContradicted) {
+    alerts_.Raise(engine::Severity::kInfo,
+                  absl::StrCat(level, " is verified again: nothing contradicts it any more"));
+  }
+  if (stage == Stage::kContradicted) {
+    alerts_.Raise(
+        engine::Severity::kCritical,
+        absl::StrCat(level, " was verified, and is contradicted: ", witness_.contradiction(),
+                     "; the part goes on and what its services answer is forged, or "
+                     "something uses its name: do not rely on the level"));
+  }
+  if (stage == Stage::kFailed && !std::exchange(newest_.failure_reported, true)) {
+    alerts_.Raise(engine::Severity::kCritical,
+                  absl::StrCat(level, " was not reached: ", reconciler_.failure(),
+                               "; the decision stands and is tried again"));
+    context_.events.push_back(engine::AgentEvent{.agent = "actuator", .state = "failed"});
+  }
+}
+
+engine::Actuation ActuatorSide::UpdateStage() {
+  UpdateWitness();
+  const Stage stage = this->stage();
+  if (stage != reported_stage_) ReportStage(std::exchange(reported_stage_, stage), stage);
   const bool leased = std::any_of(hosts_.begin(), hosts_.end(),
                                   [&](const auto& host) { return Live(host.second); });
   if (!leased) return engine::Actuation::kNoLease;
   if (reconciler_.decision_id() != level_.decision_id()) return engine::Actuation::kPending;
   if (stage == Stage::kVerified) return engine::Actuation::kVerified;
-  return stage == Stage::kFailed ? engine::Actuation::kFailed : engine::Actuation::kPending;
+  return stage == Stage::kFailed || stage == Stage::kContradicted ? engine::Actuation::kFailed
+                                                                  : engine::Actuation::kPending;
 }
 
 bool ActuatorSide::verified() const {
-  return hosts_.empty() || (reconciler_.stage() == Stage::kVerified &&
-                            reconciler_.decision_id() == level_.decision_id());
+  return hosts_.empty() ||
+         (stage() == Stage::kVerified && reconciler_.decision_id() == level_.decision_id());
 }
 
 std::vector<std::string> ActuatorSide::attached() const {
@@ -446,12 +489,16 @@ void ActuatorSide::AddProblems(std::vector<std::string>& problems) const {
       problems.push_back(std::move(doubt));
     }
   }
+  if (stage() == Stage::kContradicted) {
+    problems.push_back(absl::StrCat("level ", reconciler_.level_name(),
+                                    " is contradicted: ", witness_.contradiction()));
+  }
 }
 
 void ActuatorSide::AddStatus(RobotStatus& status) const {
   // A lowering that is not durable yet is no command yet.
   const bool ordered = reconciler_.decision_id() == level_.decision_id();
-  status.stage = std::string(ToString(ordered ? reconciler_.stage() : Stage::kRequested));
+  status.stage = std::string(ToString(ordered ? stage() : Stage::kRequested));
   levels::LevelIndex effective = -1;
   for (const auto& [name, host] : hosts_) {
     if (!host.session) continue;

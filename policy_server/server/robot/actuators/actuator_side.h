@@ -14,6 +14,7 @@
 #include "policy_server/policy/engine/state/robot_state.h"
 #include "policy_server/policy/levels/transition.h"
 #include "policy_server/server/robot/actuators/command_reconciler.h"
+#include "policy_server/server/robot/actuators/level_witness.h"
 #include "policy_server/server/robot/actuators/receipt_history.h"
 #include "policy_server/server/robot/context/alerts.h"
 #include "policy_server/server/robot/context/context.h"
@@ -77,11 +78,15 @@ class ActuatorSide {
   }
   void ReportMissingPrograms();
 
+  // ---- whether what they read back is so
+  LevelWitness& witness() { return witness_; }
+
   // ---- what is known of them
   // Records the stage of the newest decision if it has changed, and what rules are to make of it.
   engine::Actuation UpdateStage();
-  // The newest decision was ordered and is verified on every actuator.
+  // The newest decision was ordered and is verified on every actuator, and nothing contradicts it.
   bool verified() const;
+  Stage stage() const;
   // Hosts with a session.
   std::vector<std::string> attached() const;
   // Hosts whose absence was reported.
@@ -120,6 +125,8 @@ class ActuatorSide {
     int64_t gone_since_ns = 0;
     bool met = false;
     DecisionId verified;
+    // That its hello names no inactive nodes was reported.
+    bool silence_reported = false;
   };
 
   // What became of the newest decision that was ordered.
@@ -134,6 +141,8 @@ class ActuatorSide {
   };
 
   const levels::LevelTable& levels() const { return level_.table(); }
+  void UpdateWitness();
+  void ReportStage(Stage before, Stage stage);
   bool Live(const Host& host) const;
   void End(const std::string& name, Host& host);
   void OnStateLost(const std::string& name, Host& host, const ActuatorHello& hello);
@@ -154,6 +163,7 @@ class ActuatorSide {
   ReceiptHistory receipts_;
   Stage reported_stage_ = Stage::kRequested;
   Newest newest_;
+  LevelWitness witness_;
   // Programs that no actuator offers, as reported; empty = none.
   std::string missing_programs_;
 };

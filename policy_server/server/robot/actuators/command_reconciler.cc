@@ -18,6 +18,8 @@ absl::string_view ToString(Stage stage) {
       return "verified";
     case Stage::kFailed:
       return "failed";
+    case Stage::kContradicted:
+      return "contradicted";
   }
   return "";
 }

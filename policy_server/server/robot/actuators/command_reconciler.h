@@ -18,8 +18,9 @@
 
 namespace rips::pipeline {
 
-// Of the newest decision, over all listed actuators.
-enum class Stage { kRequested, kAcknowledged, kVerified, kFailed };
+// Of the newest decision, over all listed actuators. CommandReconciler never says kContradicted:
+// that is what the robot makes of kVerified (ActuatorSide).
+enum class Stage { kRequested, kAcknowledged, kVerified, kFailed, kContradicted };
 absl::string_view ToString(Stage stage);
 
 struct LedgerTiming {

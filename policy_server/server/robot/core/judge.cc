@@ -21,6 +21,13 @@ LossSeen EventOf(LossSeen loss, const SensorSession& session) {
   return loss;
 }
 
+// On the server's clock; nullopt if that is not known.
+std::optional<int64_t> TakenAt(const SensorHost& host, const Batch& batch, size_t index) {
+  const std::optional<int64_t> offset_ns = host.session->least_offset.ns();
+  if (!offset_ns || batch.incarnation != host.session->incarnation) return std::nullopt;
+  return batch.observations[index].boottime_ns + *offset_ns;
+}
+
 // The sensor whose graph and messages count.
 bool IsPrimary(const SensorHost& host, const Context& context) {
   return host.name == context.config.primary_sensor;
@@ -182,6 +189,13 @@ void Judge::JudgeMessage(SensorHost& host, const Piece& piece, size_t index, eng
   if (concerns) parts_.sight.OnMessage(message);
   const GraphHistory::Choice choice = messages_.Choose(host, batch, message);
   engine::MessageEvent judged = InspectionLine::EventOf(message, choice);
+  if (LevelWitness& witness = parts_.actuators.witness(); witness.Watches(judged.sender)) {
+    const auto taken_ns = TakenAt(host, batch, index);
+    if (taken_ns) {
+      witness.OnMessage({message.topic, judged.sender, message.writer, *taken_ns},
+                        parts_.context.now_ns());
+    }
+  }
   if (index < piece.verdicts.size()) judged.inspections = piece.verdicts[index];
   event.what = judged;
   // One action keeps the batch alive: counting its owners for each message costs more. Not a muted

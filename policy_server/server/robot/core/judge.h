@@ -12,6 +12,7 @@
 #include "absl/strings/string_view.h"
 #include "absl/types/span.h"
 #include "policy_server/policy/engine/evaluator.h"
+#include "policy_server/server/robot/actuators/actuator_side.h"
 #include "policy_server/server/robot/context/context.h"
 #include "policy_server/server/robot/context/durable_outbox.h"
 #include "policy_server/server/robot/context/evidence_gate.h"
@@ -38,6 +39,7 @@ struct JudgeParts {
   Losses& losses;
   Findings& findings;
   Sight& sight;
+  ActuatorSide& actuators;
   Decider& decider;
 };
 

@@ -98,6 +98,7 @@ RobotCore::RobotCore(CoreStart start, levels::LevelMachine level)
               .losses = losses_,
               .findings = findings_,
               .sight = sight_,
+              .actuators = actuators_,
               .decider = decider_}) {
   const store::RobotRecord& record = start.record;
   state_.RestoreVariables(record.variables);
@@ -225,6 +226,18 @@ void RobotCore::Epilogue(After after) {
   context_.Do(action::PublishStatus{std::move(status)});
 }
 
+void RobotCore::UpdateDoubt() {
+  std::vector<ros2::Guid> trusted = own_agents_.participants();
+  for (const std::string& part : own_agents_.parts()) {
+    const auto& nodes = state_.graph->nodes();
+    for (auto node = nodes.lower_bound({.full_name = part, .participant = {}});
+         node != nodes.end() && node->full_name == part; ++node) {
+      trusted.push_back(node->participant);
+    }
+  }
+  actuators_.witness().SetDoubt(findings_.known().ForgeryOf(trusted));
+}
+
 void RobotCore::UpdateActuation() {
   findings_.Update();
   decider_.RunEvents();
@@ -259,6 +272,9 @@ RobotCore::After RobotCore::OnSensorHello(const input::SensorHello& in) {
   context_.store = in.store;
   if (!sensors_.OnHello(in)) return After::kRoutine;
   findings_.OnHello(*sensors_.Listed(in.host));
+  if (in.host == context_.config.primary_sensor) {
+    actuators_.witness().BeginAgain(context_.now_ns());
+  }
   sight_.OnState(*sensors_.Listed(in.host));
   judge_.Wake();
   return After::kFlushAndPublish;
@@ -336,6 +352,8 @@ RobotCore::After RobotCore::OnTime() {
   }
   decider_.RunEvents();
   findings_.Expire();
+  actuators_.witness().OnTime(sensors_.complete() && sight_.blind().empty(), context_.now_ns());
+  UpdateDoubt();
   for (const std::string& host : findings_.ToAsk()) sensors_.AskFindings(host);
   if (own_agents_.Expire()) sensors_.SendSetups();
   orders_.approvals().Expire();

@@ -152,6 +152,8 @@ class RobotCore {
   void OnDurable(const DecisionId& decision_id);
 
   void Epilogue(After after);
+  // Whether what is read back may be forged, by the findings that stand.
+  void UpdateDoubt();
   void UpdateActuation();
   void Flush();
 

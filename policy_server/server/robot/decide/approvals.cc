@@ -7,30 +7,15 @@
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "policy_server/policy/engine/foresight.h"
+#include "policy_server/server/robot/decide/graph_changes.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
 namespace {
 
 // As `ripsctl` shows it.
 std::string ShortId(const std::string& id) { return id.substr(0, 8); }
-
-// Who came and who left, or that something else is new.
-std::string ChangeOf(const ros2::RosGraph& before, const ros2::RosGraph& now) {
-  constexpr size_t kNamed = 3;
-  std::vector<std::string> names;
-  const auto add = [&](const ros2::RosGraph& from, const ros2::RosGraph& without,
-                       absl::string_view what) {
-    for (const ros2::Node& node : from.nodes()) {
-      if (names.size() < kNamed && !without.nodes().contains(node)) {
-        names.push_back(absl::StrCat(node.full_name, what));
-      }
-    }
-  };
-  add(now, before, " came");
-  add(before, now, " left");
-  if (names.empty()) names.push_back("topics, services or participants");
-  return absl::StrCat(": ", absl::StrJoin(names, ", "));
-}
 
 }  // namespace
 
@@ -65,7 +50,7 @@ void Approvals::Ask(const LevelOrder& order, LevelAnswer& answer) {
     }
     it = pending_.insert(
         pending_.end(),
-        {.id = context_.ids.Next(), .order = order, .seen = Now(), .asked = context_.now()});
+        {.id = context_.ids.Next(), .order = order, .seen = Now(order), .asked = context_.now()});
     // Not `info`: a SIEM that filters it must receive this one.
     Report(order, engine::Severity::kMedium,
            absl::StrCat("operator ", order.operator_name, " asks to lower ", context_.config.id,
@@ -97,29 +82,57 @@ void Approvals::Remove(absl::string_view id) {
   std::erase_if(pending_, [&](const Pending& each) { return each.id == id; });
 }
 
-Approvals::Seen Approvals::Now() const {
+Approvals::Seen Approvals::Now(const LevelOrder& order) const {
   return {.decision_id = state_.level.decision_id(),
           .graph = state_.graph.version(),
+          .would_raise = engine::WouldRaise(state_.level.table().Find(order.to).value_or(0),
+                                            context_.now(), state_),
           .bundle_id = context_.policy.bundle_id,
           .level_requests = state_.level_requests()};
 }
 
 std::string Approvals::WhyOver(const Pending& pending) const {
-  const Seen now = Now();
-  if (pending.seen.decision_id != now.decision_id) {
-    return absl::StrCat("the level was decided anew (", ToString(now.decision_id), ")");
+  const DecisionId& decision_id = state_.level.decision_id();
+  if (pending.seen.decision_id != decision_id) {
+    return absl::StrCat("the level was decided anew (", ToString(decision_id), ")");
   }
-  if (pending.seen.bundle_id != now.bundle_id) return "another bundle is in force";
+  if (pending.seen.bundle_id != context_.policy.bundle_id) return "another bundle is in force";
   if (const std::string rule = RuleSince(pending); !rule.empty()) return rule;
-  if (pending.seen.graph.revision != now.graph.revision) {
-    return absl::StrCat("the robot's graph has changed",
-                        ChangeOf(*pending.seen.graph.graph, *now.graph.graph));
-  }
+  if (const std::string graph = GraphSince(pending); !graph.empty()) return graph;
   if (context_.now_ns() - pending.asked.boottime_ns >= kApprovalNs) {
     return absl::StrCat("it was not approved within ", kApprovalNs / (60 * kNanosPerSecond),
                         " minutes");
   }
   return "";
+}
+
+std::string Approvals::GraphSince(const Pending& pending) const {
+  const Seen& seen = pending.seen;
+  if (seen.graph.revision == state_.graph.revision()) return "";
+  const std::string publishers =
+      PublisherChange(*seen.graph.graph, state_.graph.get(), *context_.policy.kept_topics);
+  if (!publishers.empty()) return absl::StrCat("the robot's graph has changed: ", publishers);
+  const levels::LevelTable& table = state_.level.table();
+  const levels::LevelIndex to = table.Find(pending.order.to).value_or(0);
+  for (const std::string& rule : engine::WouldRaise(to, context_.now(), state_)) {
+    if (std::find(seen.would_raise.begin(), seen.would_raise.end(), rule) !=
+        seen.would_raise.end()) {
+      continue;
+    }
+    return absl::StrCat(
+        "the robot's graph has changed, and rule ", rule, " would raise it again: ",
+        ros2::Printable(absl::StrJoin(GraphChanges(*seen.graph.graph, state_.graph.get()), ", ")));
+  }
+  return "";
+}
+
+std::vector<std::string> Approvals::ChangesSince(absl::string_view id) const {
+  for (const Pending& each : pending_) {
+    if (each.id == id && each.seen.graph.revision != state_.graph.revision()) {
+      return GraphChanges(*each.seen.graph.graph, state_.graph.get());
+    }
+  }
+  return {};
 }
 
 std::string Approvals::RuleSince(const Pending& pending) const {
@@ -178,7 +191,8 @@ std::vector<PendingApproval> Approvals::pending() const {
                    .reason = each.order.reason,
                    .accept_blind = each.order.accept_blind,
                    .asked_unix_ns = each.asked.unix_ns,
-                   .expires_unix_ns = each.asked.unix_ns + kApprovalNs});
+                   .expires_unix_ns = each.asked.unix_ns + kApprovalNs,
+                   .changes = ChangesSince(each.id)});
   }
   return out;
 }

@@ -6,8 +6,13 @@
 //   a rejection, also by who asked             nothing is decided
 //   another request of who asked               only the newer one waits
 //   a ban of who asked                         nothing is decided
-//   another decision, graph or bundle          nothing is decided: neither of the two saw that
+//   another decision or bundle                 nothing is decided: neither of the two saw that
 //   a rule that asks for a level above `to`    nothing is decided, even if the robot is there
+//   a graph on which a rule would do so, and   nothing is decided: the robot is another one than
+//   did not when it was asked, or on which     the first operator saw
+//   others publish a topic that rules name
+//   any other graph                            it waits; the second operator is told the difference
+//                                              (GraphChanges), and must accept it
 //   kApprovalNs                                nothing is decided
 //
 // Whether the certificate of who asked counts yet is for the caller to know (Requesters).
@@ -50,6 +55,9 @@ class Approvals {
   // The lowering that `approval` is about, which goes on waiting. NotFound; FailedPrecondition: it
   // has ended just now.
   absl::StatusOr<LevelOrder> Find(const ApprovalOrder& approval);
+  // How the graph differs from the one that who asked saw; of a lowering that waits. At most
+  // kChangesMax, printable; empty = it does not.
+  std::vector<std::string> ChangesSince(absl::string_view id) const;
   // It waits no more.
   void Remove(absl::string_view id);
   // Ends what may not be approved any more, each with an alert.
@@ -64,6 +72,8 @@ class Approvals {
   struct Seen {
     DecisionId decision_id;
     engine::CurrentGraph::Version graph;
+    // Rules that would ask for a level above the one to lower to.
+    std::vector<std::string> would_raise;
     std::string bundle_id;
     absl::btree_map<levels::LevelIndex, engine::LevelRequests> level_requests;
   };
@@ -74,7 +84,9 @@ class Approvals {
     Instant asked;
   };
 
-  Seen Now() const;
+  Seen Now(const LevelOrder& order) const;
+  // What the graph has that speaks against the lowering and was not there; empty = nothing.
+  std::string GraphSince(const Pending& pending) const;
   // Why it may not be approved any more; empty = it may.
   std::string WhyOver(const Pending& pending) const;
   // Which rule has asked for a level above the one to lower to, while the bundle was the one that

@@ -31,7 +31,8 @@ class Evidence {
   void Update() { gate_.Update(Problems(), actuators_.verified(), context_.now()); }
   // What sensors have sent is judged, and says something: a floor may be lifted.
   bool complete() const {
-    return sight_.blind().empty() && !context_.moment.backlog && sensors_.complete();
+    return sight_.blind().empty() && !context_.moment.backlog && sensors_.complete() &&
+           actuators_.stage() != Stage::kContradicted;
   }
 
  private:

@@ -121,6 +121,13 @@ void Orders::OnApprove(const input::Approve& in) {
           "; both operators must accept that: it was asked for without --accept-blind"));
     }
   }
+  const std::string changes =
+      ros2::Printable(absl::StrJoin(approvals_.ChangesSince(order.id), ", "));
+  if (answer.status.ok() && !changes.empty() && !order.accept_changes) {
+    answer.status = absl::FailedPreconditionError(
+        absl::StrCat("the robot's graph has changed since it was asked for: ", changes,
+                     "; --accept-changes approves it all the same"));
+  }
   if (!answer.status.ok()) {
     return context_.Do(action::AnswerOrder{in.token, std::move(answer)});
   }
@@ -129,6 +136,9 @@ void Orders::OnApprove(const input::Approve& in) {
       absl::StrCat(lowering->operator_name, ", approved by ", order.operator_name);
   // Each is within the limit of a reason; both together need not be.
   lowering->reason = absl::StrCat(lowering->reason, "; approved: ", order.reason);
+  if (!changes.empty()) {
+    absl::StrAppend(&lowering->reason, "; accepted: ", changes);
+  }
   Decide(Lower(*lowering, state_.level), *lowering,
          {.token = in.token, .answer = std::move(answer)});
 }

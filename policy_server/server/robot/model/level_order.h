@@ -36,6 +36,8 @@ struct ApprovalOrder {
   std::string reason;
   bool reject = false;
   bool accept_blind = false;
+  // PendingApproval::changes may be there.
+  bool accept_changes = false;
   std::string request_id;
 };
 
@@ -59,6 +61,8 @@ struct PendingApproval {
   // By the clock of the server's host.
   int64_t asked_unix_ns = 0;
   int64_t expires_unix_ns = 0;
+  // How the graph differs from the one when it was asked, in what the lowering is not judged by.
+  std::vector<std::string> changes;
 
   friend bool operator==(const PendingApproval&, const PendingApproval&) = default;
 };

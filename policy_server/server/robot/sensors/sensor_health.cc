@@ -38,6 +38,16 @@ std::optional<int64_t> ClockSkew::estimate_ns() const {
   return *std::max_element(lower_bounds_ns_.begin(), lower_bounds_ns_.end());
 }
 
+void BoottimeOffset::Heartbeat(int64_t sent_ns, int64_t now_ns) {
+  newest_ns_.push_back(now_ns - sent_ns);
+  if (newest_ns_.size() > kHeartbeatsKept) newest_ns_.pop_front();
+}
+
+std::optional<int64_t> BoottimeOffset::ns() const {
+  if (newest_ns_.empty()) return std::nullopt;
+  return *std::min_element(newest_ns_.begin(), newest_ns_.end());
+}
+
 bool RestartCount::Began(absl::string_view incarnation, int64_t now_ns) {
   if (last_ == incarnation) return false;
   const bool first = last_.empty();

@@ -41,6 +41,20 @@ class ClockSkew {
   bool off_ = false;
 };
 
+// The server's CLOCK_BOOTTIME minus the sensor's: the least that the newest heartbeats allow, which
+// is too high by the way of the fastest of them.
+class BoottimeOffset {
+ public:
+  static constexpr size_t kHeartbeatsKept = 16;
+
+  void Heartbeat(int64_t sent_ns, int64_t now_ns);
+  // nullopt before the first heartbeat.
+  std::optional<int64_t> ns() const;
+
+ private:
+  std::deque<int64_t> newest_ns_;
+};
+
 // Processes of one sensor, by incarnation.
 class RestartCount {
  public:

@@ -40,6 +40,7 @@ struct SensorSession {
   // Why it does not use the one wanted; printable.
   std::string interest_problem;
   ClockSkew skew;
+  BoottimeOffset least_offset;
 };
 
 // A sensor host of the inventory, with or without a session.

@@ -246,6 +246,7 @@ void SensorSide::OnHeartbeat(const input::SensorHeartbeat& in) {
   if (host == nullptr) return;
   SensorSession& session = *host->session;
   session.peer_boottime_ns = in.heartbeat.clock.boottime_ns;
+  session.least_offset.Heartbeat(in.heartbeat.clock.boottime_ns, context_.now_ns());
   own_agents_.OnHeard(Named(*host));
   if (!session.skew.Heartbeat(in.heartbeat, context_.now())) return;
   alerts_.Raise(engine::Severity::kMedium,

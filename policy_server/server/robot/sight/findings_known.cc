@@ -7,8 +7,23 @@
 #include "absl/strings/str_cat.h"
 #include "policy_server/policy/engine/trace/tracer.h"
 #include "policy_server/server/robot/sight/finding_kinds.h"
+#include "services/ros2/ros_name.h"
 
 namespace rips::pipeline {
+namespace {
+
+// By which what is read back may be forged: another sends what one of the parts or agents is
+// thought to send, or answers for it. `of_parts_alone`: it is never about others.
+struct ForgeryKind {
+  absl::string_view name;
+  bool of_parts_alone = false;
+};
+constexpr ForgeryKind kForgeryKinds[] = {{"spoofed_writer"},
+                                         {"sequence_jump"},
+                                         {"two_contents"},
+                                         {"rival_server", /*of_parts_alone=*/true}};
+
+}  // namespace
 
 bool FindingsKnown::All() const {
   if (sensors_.hosts().empty() || !sight_.blind().empty() || context_.moment.backlog) return false;
@@ -52,6 +67,25 @@ std::vector<std::string> FindingsKnown::NotKnown() const {
   if (context_.moment.backlog) reasons.push_back("what its agents sent is not judged yet");
   if (sensors_.hosts().empty()) reasons.push_back("the inventory lists no sensor of this robot");
   return reasons;
+}
+
+std::string FindingsKnown::ForgeryOf(const std::vector<ros2::Guid>& participants) const {
+  for (const ForgeryKind& kind : kForgeryKinds) {
+    const FindingRegistry::Key first{std::string(kind.name), ros2::Guid(), "", ""};
+    for (auto it = registry_.entries().lower_bound(first);
+         it != registry_.entries().end() && it->second.finding.kind == kind.name; ++it) {
+      const FindingSeen& finding = it->second.finding;
+      const ros2::Guid participant = finding.guid.Participant();
+      if (!kind.of_parts_alone &&
+          std::find(participants.begin(), participants.end(), participant) == participants.end()) {
+        continue;
+      }
+      return ros2::Printable(absl::StrCat("finding ", finding.kind, " of ", ToString(finding.guid),
+                                          " ", finding.node, " ", finding.topic,
+                                          ": what is read back from the robot may be forged"));
+    }
+  }
+  return "";
 }
 
 FindingsNow FindingsKnown::Now() const {

@@ -41,6 +41,9 @@ class FindingsKnown {
   // Why they have not, or why some of it may no longer stand; empty = they have. At most
   // kNotKnownMax.
   std::vector<std::string> NotKnown() const;
+  // What stands that sends under the name of one of these participants, or answers in place of
+  // one, so that what is read back from it may be forged; printable, empty = nothing.
+  std::string ForgeryOf(const std::vector<ros2::Guid>& participants) const;
   // Why what the sensor says may be old; empty = it is not.
   std::string NotCurrent(const SensorHost& host) const;
 
