@@ -306,12 +306,13 @@ TEST_F(RulesReplayTest, ACutRecordingIsReplayedAndExitsWithFour) {
   std::filesystem::create_directory(folder_ + "/bag");
   Write("bag/bag_0.mcap", "");
   Write("bag/bag_1.mcap", bytes);
-  const Result bag =
+  const Result folder =
       RunOffline({"rules", "replay", "--rules", rules_, "--events", folder_ + "/bag"});
-  EXPECT_EQ(bag.code, 4);
-  EXPECT_THAT(bag.out, AllOf(HasSubstr("\nincomplete recording: part missing at its beginning: `"),
-                             HasSubstr("bag_0.mcap`: byte 0: the file is empty\n"),
-                             HasSubstr("has no metadata.yaml")));
+  EXPECT_EQ(folder.code, 4);
+  EXPECT_THAT(folder.out,
+              AllOf(HasSubstr("\nincomplete recording: part missing at its beginning: `"),
+                    HasSubstr("bag_0.mcap`: byte 0: the file is empty\n"),
+                    HasSubstr("has no metadata.yaml")));
 }
 
 TEST_F(RulesReplayTest, WhatCannotBeUsedIsAnError) {
