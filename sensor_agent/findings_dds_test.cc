@@ -199,10 +199,7 @@ TEST_F(HostileProcessTest, WritesToATopicWithoutBeingANode) {
 TEST_F(HostileProcessTest, SteersAProtectedPartAndRipsAndTheManagerMay) {
   // Who serves change_mode may steer the parts below.
   auto manager = robot_.AddProcess();
-  const auto service = dds::RawReader::Create(
-      manager->participant(), {.topic = kChangeModeRequest, .type = kChangeModeType},
-      [](const dds::RawSample&) {});
-  ASSERT_THAT(service, IsOk());
+  manager->AddReader(kChangeModeRequest);
   manager->AddWriter("rq/safety/set_parametersRequest");
   manager->Announce("mode_manager");
   auto actuator = robot_.AddParticipant();

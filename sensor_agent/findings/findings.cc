@@ -25,8 +25,8 @@ constexpr absl::string_view kChangeMode = "/change_mode";
 // Whoever calls these steers a part.
 constexpr absl::string_view kSteering[] = {kChangeMode, "/change_state", "/set_parameters",
                                            "/set_parameters_atomically"};
-constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",       "false_claim",
-                                      "foreign_mode_writer", "rival_server",   "non_ros_writer",
+constexpr const char* kKindNames[] = {"duplicate_node",      "impostor",        "false_claim",
+                                      "foreign_mode_writer", "rival_server",    "non_ros_writer",
                                       "non_ros_reader",      "unauthenticated", "sequence_jump"};
 
 // The part whose mode the service steers; empty = it is no such service.

@@ -18,7 +18,7 @@
 #include "dds/version.h"
 #include "services/base/check.h"
 #include "services/base/status_macros.h"
-#include "services/dds/shared_memory.h"
+#include "services/dds/domain_internals.h"
 #include "services/ros2/cdr.h"
 #include "services/ros2/ros_name.h"
 

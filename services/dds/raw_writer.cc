@@ -6,6 +6,7 @@
 #include "absl/strings/str_cat.h"
 #include "dds/dds.h"
 #include "services/base/status_macros.h"
+#include "services/dds/domain_internals.h"
 #include "services/dds/qos.h"
 #include "services/ros2/ros_name.h"
 
@@ -52,6 +53,10 @@ absl::StatusOr<std::unique_ptr<RawWriter>> RawWriter::Create(const Participant& 
 
 absl::Status RawWriter::Write(absl::string_view payload, int64_t source_unix_ns) {
   return WriteRaw(entity_.get(), topic_.type, payload, source_unix_ns);
+}
+
+void RawWriter::LimitLinger(absl::Duration longest) const {
+  rips_dds_limit_linger(topic_.type, absl::ToInt64Nanoseconds(longest));
 }
 
 size_t RawWriter::MatchedReaders() const {

@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
+#include "absl/time/time.h"
 #include "services/dds/dds_entity.h"
 #include "services/dds/participant.h"
 #include "services/dds/raw_type.h"
@@ -44,6 +45,9 @@ class RawWriter {
   InstanceHandle instance() const { return instance_; }
   EntityHandle entity() const { return entity_.get(); }
   size_t MatchedReaders() const;
+  // Of every writer of the domain: how long its end waits, at most, for readers that have not
+  // acknowledged its samples (Cyclone's setting is 1 s).
+  void LimitLinger(absl::Duration longest) const;
 
  private:
   RawWriter(RawTopic topic, DdsEntity entity, const ros2::Guid& guid, InstanceHandle instance,

@@ -8,6 +8,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
+#include "absl/time/time.h"
 #include "dds/dds.h"
 #include "services/base/ids.h"
 #include "services/base/status_macros.h"
@@ -19,6 +20,8 @@ namespace {
 
 // Requests and replies waiting in one endpoint; what rmw's service profile asks.
 constexpr uint32_t kServiceDepth = 10;
+// Of requests that no server has acknowledged when the client ends.
+constexpr absl::Duration kClientLinger = absl::Milliseconds(100);
 // Matched peers looked at.
 constexpr size_t kPeersMax = 256;
 // Kept of a sample; replies of parameters may hold arrays.
@@ -109,6 +112,9 @@ absl::StatusOr<ServiceEndpoints> CreateServiceEndpoints(const Participant& parti
                          .type = client ? request_type : reply_type,
                          .qos = {.reliable = true, .depth = kServiceDepth, .partitions = {}},
                          .user_data = user_data}));
+  // The end of a domain waits for one writer after the other: a client whose servers are gone, as
+  // after a change of address, would take Cyclone's second for each service.
+  if (client) endpoints.writer->LimitLinger(kClientLinger);
   RIPS_ASSIGN_OR_RETURN(
       endpoints.reader,
       RawReader::Create(participant,

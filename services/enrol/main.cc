@@ -54,8 +54,8 @@ int Fail(const absl::Status& status, const std::string& what = "") {
 void PrintGood(const rpc::Peer& peer, const char* done, const KeyFolder& folder,
                OutputStream& out) {
   out << rpc::RoleName(peer.identity.role) << " of " << peer.identity.robot << " on "
-            << peer.identity.host << ": " << done << "; certificate until "
-            << UtcText(peer.not_after) << " in " << folder.path() << "\n";
+      << peer.identity.host << ": " << done << "; certificate until " << UtcText(peer.not_after)
+      << " in " << folder.path() << "\n";
 }
 
 // Packages of the agents give their folders to the agents' groups.

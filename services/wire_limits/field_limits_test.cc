@@ -116,7 +116,11 @@ void Set(Message& message, const FieldDescriptor* field, uint64_t count, uint64_
     if (field->message_type() != nullptr) {
       reflection.AddMessage(&message, field);
     } else {
-      reflection.AddString(&message, field, i == 0 ? Bytes(field, value) : "");
+      if (field->cpp_type() == FieldDescriptor::CPPTYPE_UINT32) {
+        reflection.AddUInt32(&message, field, static_cast<uint32_t>(value));
+      } else {
+        reflection.AddString(&message, field, i == 0 ? Bytes(field, value) : "");
+      }
     }
   }
   if (field->is_repeated()) return;

@@ -15,10 +15,9 @@ import sys
 import tempfile
 import time
 
-import wire_test
-from wire_test import ROBOT, SPDP, USUAL, World
+from wire_test import SPDP, USUAL, World
 
-from fleet import Failed, check, eventually, perform
+from fleet import check, perform
 
 LONG = os.environ.get("RIPS_HONEST") == "long"
 OUTAGE_S = 60 if LONG else 4
@@ -36,6 +35,8 @@ rules Msg:
   camera: topicin("/camera/image_raw") ? set(seen, true);
   drive: topicin("/cmd_vel") ? set(seen, true);
   odom: topicin("/odom") ? set(seen, true);
+rules External:
+  up: signal("SIGUSR1") ? trigger(ALERT) => trigger(COMPROMISED) => trigger(HALT);
 """
 
 
@@ -61,6 +62,8 @@ def unwatched(world, fleet):
 
 def honest_robot_is_not_accused(world):
     fleet = world.watch_and_tell(RULES)
+    fleet.env["CYCLONEDDS_URI"] = f"<CycloneDDS><Domain>{USUAL}</Domain></CycloneDDS>"
+    fleet.interface = "eth0"
     robot = fleet.start_robot()
     fleet.start_agent("actuator")
     fleet.wait_level("DEFAULT", 40)

@@ -145,7 +145,7 @@ TEST_F(RulesSignTest, RefusesWhatIsNotOnePrivateEd25519Key) {
 TEST_F(RulesSignTest, ASignatureThatCannotBeWrittenIsAnError) {
   std::filesystem::create_directories(dir_ + "/signature/x");
   const Result result = Sign();
-  EXPECT_EQ(result.code, 2);
+  EXPECT_EQ(result.code, 1);
   EXPECT_THAT(result.err, HasSubstr("first/signature`"));
   EXPECT_FALSE(std::filesystem::exists(dir_ + "/signature.tmp"));
 }

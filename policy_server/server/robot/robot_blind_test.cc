@@ -1,5 +1,8 @@
 // A sensor that sees nothing proves nothing.
+#include <algorithm>
+#include <iterator>
 #include <optional>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "gmock/gmock.h"
@@ -23,6 +26,9 @@ class RobotBlindTest : public RobotTest {
   void Hello(std::vector<std::string> blind = {}, const std::string& incarnation = kIncarnation) {
     if (sensor_) robot_->OnSensorGone("base", sensor_.get());
     sensor_ = std::make_shared<FakeSensor>();
+    if (std::exchange(incarnation_, incarnation) != incarnation) {
+      std::fill(std::begin(next_sequence_), std::end(next_sequence_), 1);
+    }
     robot_->OnSensorHello("base", sensor_,
                           {.incarnation = incarnation,
                            .clock = clock_.Now(),

@@ -276,7 +276,7 @@ class RobotTest : public ::testing::Test {
     }
     const size_t count = observations.size();
     robot_->OnBatch("base", sensor_.get(),
-                    std::make_shared<const Batch>(Batch{.incarnation = kIncarnation,
+                    std::make_shared<const Batch>(Batch{.incarnation = incarnation_,
                                                         .lane = lane,
                                                         .first_sequence = next,
                                                         .observations = std::move(observations),
@@ -341,6 +341,7 @@ class RobotTest : public ::testing::Test {
   bool verified_ = false;
   std::vector<std::string> degraded_;
   uint64_t drifts_ = 0;
+  std::string incarnation_ = kIncarnation;
   uint64_t next_sequence_[kLaneCount] = {1, 1};
   uint64_t graph_version_ = 0;
 };

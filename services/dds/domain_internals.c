@@ -1,4 +1,4 @@
-#include "services/dds/shared_memory.h"
+#include "services/dds/domain_internals.h"
 
 #include <string.h>
 
@@ -15,6 +15,13 @@ bool rips_dds_uses_shared_memory(const struct ddsi_sertype* type) {
   (void)type;
   return false;
 #endif
+}
+
+void rips_dds_limit_linger(const struct ddsi_sertype* type, int64_t longest_ns) {
+  struct ddsi_domaingv* domain = ddsrt_atomic_ldvoidp(&type->gv);
+  if (domain->config.writer_linger_duration > longest_ns) {
+    domain->config.writer_linger_duration = longest_ns;
+  }
 }
 
 size_t rips_dds_interfaces(const struct ddsi_sertype* type, struct rips_dds_interface* into,

@@ -1,7 +1,7 @@
 // A look into Cyclone's configuration from C, since ddsi_domaingv.h does not compile as C++.
 // Internal to services/dds.
-#ifndef RIPS_SERVICES_DDS_SHARED_MEMORY_H_
-#define RIPS_SERVICES_DDS_SHARED_MEMORY_H_
+#ifndef RIPS_SERVICES_DDS_DOMAIN_INTERNALS_H_
+#define RIPS_SERVICES_DDS_DOMAIN_INTERNALS_H_
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -15,6 +15,9 @@ struct ddsi_sertype;
 
 // `type` is in use by a topic. True if its domain's configuration has shared memory on.
 bool rips_dds_uses_shared_memory(const struct ddsi_sertype* type);
+
+// RawWriter::LimitLinger. `type` is in use by a topic.
+void rips_dds_limit_linger(const struct ddsi_sertype* type, int64_t longest_ns);
 
 // An address that a domain took when it began.
 struct rips_dds_interface {
@@ -32,4 +35,4 @@ size_t rips_dds_interfaces(const struct ddsi_sertype* type, struct rips_dds_inte
 }
 #endif
 
-#endif  // RIPS_SERVICES_DDS_SHARED_MEMORY_H_
+#endif  // RIPS_SERVICES_DDS_DOMAIN_INTERNALS_H_
