@@ -23,10 +23,10 @@ LONG = os.environ.get("RIPS_HONEST") == "long"
 OUTAGE_S = 60 if LONG else 4
 PROGRAMS = 1000 if LONG else 40
 TWIST = "geometry_msgs::msg::dds_::Twist_"
-# What no honest robot may look like. `robot coverage` names other kinds for this robot, too: its
-# programs end without a word.
+# What no honest robot may look like. Programs that end before they are discovered are findings of
+# other kinds.
 ATTACKS = {"sequence_jump", "two_contents", "rival_server", "spoofed_writer", "directed_data",
-           "unicast_writer", "impostor"}
+           "impostor"}
 RULES = """levels: DEFAULT; ALERT; COMPROMISED; HALT;
 vars: seen bool = false;
 rules Msg:
@@ -37,6 +37,7 @@ rules Msg:
   odom: topicin("/odom") ? set(seen, true);
 rules External:
   up: signal("SIGUSR1") ? trigger(ALERT) => trigger(COMPROMISED) => trigger(HALT);
+  read: seen && signal("SIGUSR2") ? alert("seen", "info");
 """
 
 
@@ -56,7 +57,7 @@ def peer(world, name, namespace, topic, *options, xml=USUAL):
 
 def unwatched(world, fleet):
     """Endpoints that the sensor cannot see, with the reason."""
-    return [each for each in fleet.query("robot", "coverage", "r1")["endpoints"]
+    return [each for each in fleet.query("robot", "coverage", "r1", check=False)["endpoints"]
             if "sequence" in str(each)]
 
 
