@@ -51,9 +51,9 @@ class Cursor {
   bool ok_ = true;
 };
 
-// Appends the `bytes` low bytes of `number`.
+// Appends the `bytes` low bytes of `number`; zeros beyond its eighth.
 inline void AppendNumber(uint64_t number, size_t bytes, std::string* out) {
-  for (size_t i = 0; i < bytes; ++i) out->push_back(static_cast<char>(number >> (8 * i)));
+  for (size_t i = 0; i < bytes; ++i, number >>= 8) out->push_back(static_cast<char>(number));
 }
 
 // CRC-32 (ISO-HDLC: polynomial 04c11db7 reflected, as in zip and PNG) of what `crc` covers, then
