@@ -337,11 +337,10 @@ class RobotTest : public ::testing::Test {
   std::shared_ptr<FakeSensor> sensor_;
   std::shared_ptr<FakeActuator> actuator_;
   bool sensor_heartbeats_ = true, actuator_heartbeats_ = true;
-  std::string effective_, floor_;
+  std::string effective_, floor_, incarnation_ = kIncarnation;
   bool verified_ = false;
   std::vector<std::string> degraded_;
   uint64_t drifts_ = 0;
-  std::string incarnation_ = kIncarnation;
   uint64_t next_sequence_[kLaneCount] = {1, 1};
   uint64_t graph_version_ = 0;
 };
