@@ -3,9 +3,9 @@ nothing reads, or a file on a disk that hangs: they act as if it were read, and 
 descriptors are closed, threads are few, the locale is another one.
 
     log_test.py BINARIES SCENARIO               runs one; without SCENARIO prints their names
-    log_test.py BINARIES in_turn [TIMES [ROOM]]  attacks a robot TIMES times (10) with no full pipe,
-        then with that of each program in turn, which had ROOM bytes left at its start (0); prints
-        how long it took until the level was verified, and until SIGTERM had ended the program
+    log_test.py BINARIES in_turn [TIMES [ROOM]]  starts each program in turn, without and with a full
+        log pipe, and attacks the robot, TIMES times each (10). The full pipe had ROOM bytes left
+        (0). Prints the time to a verified level, and from SIGTERM to the program's end
 """
 
 import ctypes
@@ -335,29 +335,29 @@ SCENARIOS = [pipes_are_full_at_the_start, pipes_become_full, descriptors_are_clo
 def in_turn(host, times, room):
     """The figures of the head of this file."""
     host.arm_all()
-    without = []
-    for _ in range(times):
-        without.append(host.attack())
-        host.calm()
-    print(f"{'program':14} {'verified_s: median':>18} {'max':>7} {'SIGTERM_s: max':>15}")
-    print(f"{'none':14} {statistics.median(without):18.3f} {max(without):7.3f}", flush=True)
+    print(f"{'':14} {'verified, s: not full':>22} {'full':>13} {'ratio':>6} {'SIGTERM, s':>11}")
+    print(f"{'program':14} {'median':>14} {'max':>7} {'median':>7} {'max':>5}", flush=True)
     for name in PROGRAMS:
-        took, ended = [], []
+        took, ended = {False: [], True: []}, []
         for _ in range(times):
-            host.of(name).kill()
-            pipe = Pipe(room)
-            host.unheard = {name: pipe.write_end}
-            host.begin(name)
-            host.wait_level("DEFAULT", 40)
-            took.append(host.attack())
-            host.calm()
-            ended.append(host.end(name))
-            host.unheard = {}
-            pipe.close()
-            host.begin(name)
-            host.wait_level("DEFAULT", 40)
-        print(f"{name:14} {statistics.median(took):18.3f} {max(took):7.3f} {max(ended):15.2f}",
-              flush=True)
+            for full in (False, True):
+                host.of(name).kill()
+                pipe = Pipe(room)
+                if full:
+                    host.unheard = {name: pipe.write_end}
+                host.begin(name)
+                host.wait_level("DEFAULT", 40)
+                took[full].append(host.attack())
+                host.calm()
+                if full:
+                    ended.append(host.end(name))
+                    host.unheard = {}
+                    host.begin(name)
+                    host.wait_level("DEFAULT", 40)
+                pipe.close()
+        without, with_full = (statistics.median(took[full]) for full in (False, True))
+        print(f"{name:14} {without:14.3f} {max(took[False]):7.3f} {with_full:7.3f} "
+              f"{max(took[True]):5.3f} {with_full / without:6.2f} {max(ended):11.2f}", flush=True)
 
 
 def main():
