@@ -1,4 +1,4 @@
-"""The table "When we cannot decide" of policy_server/DESIGN.md names tests and counters that exist.
+"""The tables of policy_server/FAULTS.md and server/FAULTS.md name tests and counters that exist.
 
     fault_table_test.py BUILD BINARIES      BUILD: where ctest runs; BINARIES: the daemons
 
@@ -18,12 +18,12 @@ import tempfile
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[1] / "support"))
 from fleet import Failed, Fleet, metrics  # noqa: E402
 
-PAGE = pathlib.Path(__file__).resolve().parents[2] / "policy_server/DESIGN.md"
-HEADING = "## When we cannot decide"
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+PAGES = ["policy_server/FAULTS.md", "policy_server/server/FAULTS.md"]
 COLUMNS = ["what fails", "effect on the level", "alert or record", "counter", "test"]
 SERVER = "policy-server"
 DAEMONS = [SERVER, "sensor", "actuator"]
-# The smallest table that is worth the name; fewer rows were read wrongly.
+# A page with fewer rows was read wrongly.
 ROWS_MIN = 25
 
 
@@ -34,24 +34,27 @@ def cells(line):
 
 
 def read_rows(page):
-    """(line number, cells) of each row, and what is wrong with the table's form."""
-    lines = page.splitlines()
-    if HEADING not in lines:
-        return [], [f"there is no heading `{HEADING}`"]
-    at = lines.index(HEADING) + 1
-    while at < len(lines) and not lines[at].startswith(("|", "## ")):
-        at += 1
-    table = []
-    while at < len(lines) and lines[at].startswith("|"):
-        table.append((at + 1, cells(lines[at])))
-        at += 1
-    if len(table) < 2 or table[0][1] != COLUMNS:
-        return [], [f"the table's columns are not {' | '.join(COLUMNS)}"]
-    problems = [f"line {number}: {len(row)} cells, not {len(COLUMNS)}"
-                for number, row in table[2:] if len(row) != len(COLUMNS)]
-    problems += [f"line {number}: an empty cell; write - for none"
-                 for number, row in table[2:] if "" in row]
-    return [each for each in table[2:] if len(each[1]) == len(COLUMNS)], problems
+    """(line number, cells) of each row of all tables, and what is wrong with the tables' form."""
+    rows, problems = [], []
+    before = ""
+    for number, line in enumerate(page.splitlines(), 1):
+        if not line.startswith("|"):
+            before = line
+            continue
+        row = cells(line)
+        if not before.startswith("|"):
+            if row != COLUMNS:
+                problems.append(f"line {number}: the columns are not {' | '.join(COLUMNS)}")
+        elif set(line) <= set("|-"):
+            pass
+        elif len(row) != len(COLUMNS):
+            problems.append(f"line {number}: {len(row)} cells, not {len(COLUMNS)}")
+        else:
+            rows.append((number, row))
+            if "" in row:
+                problems.append(f"line {number}: an empty cell; write - for none")
+        before = line
+    return rows, problems or ([] if rows else ["there is no table"])
 
 
 def read_tests(cell):
@@ -139,19 +142,23 @@ wire: {{enabled: true, socket: {directory}/wire.sock}}
 
 def check_the_check():
     """What this test is for is found."""
+    head = ["| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|"]
     page = "\n".join([
-        HEADING, "", "| " + " | ".join(COLUMNS) + " |", "|---|---|---|---|---|",
+        "## One", "", *head,
         "| a | b | `a|b` | `rips_a_total`, sensor: `rips_b_total` | `A.B`, `fleet.drill` |",
         "| a | b | c | `rips_a_total` | `A.C` |",
         "| a | b | c | - | `A.B…` |",
         "| a | b | c | `a_total` | `A.B` |",
+        "## Two", "", *head,
         "| a | b | c | robot: `rips_a_total` | `A.B` |",
         "| a | b |  | - | `A.B` |",
-        "| a | b | - | `A.B` |"])
+        "| a | b | - | `A.B` |",
+        "", "| a | b |"])
     rows, problems = read_table(page)
     problems += missing(rows, {"A.B", "fleet.drill"}, {SERVER: {"rips_b_total"}, "sensor": set()})
-    expected = ["line 11: 4 cells", "line 10: an empty", "line 7: no list of tests",
-                "line 8: no list of counters", "line 9: no list of counters",
+    expected = ["line 14: an empty", "line 15: 4 cells", "line 17: the columns are not",
+                "line 7: no list of tests", "line 8: no list of counters",
+                "line 13: no list of counters",
                 "line 6: there is no test A.C",
                 "line 5: rips_a_total is not on /metrics of the policy-server",
                 "line 5: rips_b_total is not on /metrics of the sensor",
@@ -165,17 +172,23 @@ def check_the_check():
 def main():
     check_the_check()
     build, binaries = sys.argv[1:3]
-    rows, problems = read_table(PAGE.read_text(encoding="utf-8"))
-    if len(rows) < ROWS_MIN:
-        problems.append(f"{len(rows)} rows, fewer than {ROWS_MIN}")
-    named = {daemon for _, _, counters in rows for daemon, _ in counters}
+    read = {page: read_table((ROOT / page).read_text(encoding="utf-8")) for page in PAGES}
+    named = {daemon for rows, _ in read.values() for _, _, counters in rows
+             for daemon, _ in counters}
+    problems = []
     try:
-        problems += missing(rows, known_tests(build), metric_pages(binaries, named))
+        tests, metrics_of = known_tests(build), metric_pages(binaries, named)
     except Failed as failed:
         problems.append(str(failed))
-    for problem in problems:
-        print(f"policy_server/DESIGN.md: {problem}")
-    print(f"{len(rows)} rows, {len(problems)} problems")
+        tests, metrics_of = None, None
+    for page, (rows, wrong) in read.items():
+        if len(rows) < ROWS_MIN:
+            wrong.append(f"{len(rows)} rows, fewer than {ROWS_MIN}")
+        if tests is not None:
+            wrong += missing(rows, tests, metrics_of)
+        problems += [f"{page}: {each}" for each in wrong]
+    print("\n".join([*problems, f"{sum(len(rows) for rows, _ in read.values())} rows, "
+                                f"{len(problems)} problems"]))
     return 1 if problems else 0
 
 

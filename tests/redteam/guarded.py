@@ -167,7 +167,7 @@ class Guarded(Fleet):
 
     def bounded(self):
         """What another robot and the machine felt is within bounds; printed for the table in
-        policy_server/DESIGN.md."""
+        README.md."""
         p50, p99, longest = self.verdicts()
         admitted = self.newcomers()
         memory_mib = resident_kib(self.server.child.pid) >> 10

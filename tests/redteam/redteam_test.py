@@ -2,7 +2,7 @@
 
     redteam_test.py                     names of the scenarios that tests/run runs
     redteam_test.py --all               names of all of them
-    redteam_test.py --table             compares the table in policy_server/DESIGN.md with them
+    redteam_test.py --table             compares the table in README.md with them
     redteam_test.py BINARIES SCENARIO   runs one, for RIPS_ATTACK_S seconds (6)
 
 Each runs beside a robot under guard, which must not notice: its lease lives, nothing is lost, an
@@ -31,7 +31,7 @@ from guarded import (ADMITTED_S, DISK_MIB, MEMORY_MIB, QUICK, SCENARIOS,  # noqa
 
 def check_table():
     """Problems: an attack without a row of what it did in 60 s, or with one beyond the bounds."""
-    text = (SOURCE / "policy_server/DESIGN.md").read_text(encoding="utf-8")
+    text = (SOURCE / "tests/redteam/README.md").read_text(encoding="utf-8")
     table = text.partition("\n| attack |")[2].partition("\n\n")[0].splitlines()[2:]
     rows = {cells[1].strip(" `"): [cell.strip() for cell in cells[2:-1]]
             for cells in (line.split("|") for line in table)}

@@ -92,7 +92,8 @@ def findings():
          file_comment(read("sensor_agent/wire/wire_watch.h")), table_row),
         ("sensor_agent/wire/wire_watch_test.cc", read("sensor_agent/wire/wire_watch_test.cc"),
          quoted),
-        ("the table in sensor_agent/DESIGN.md", read("sensor_agent/DESIGN.md"), table_row),
+        ("the table in sensor_agent/wire/DESIGN.md", read("sensor_agent/wire/DESIGN.md"),
+         table_row),
         ("tests/integration/wire_test.py", read("tests/integration/wire_test.py"), quoted),
     ])
 

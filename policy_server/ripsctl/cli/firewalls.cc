@@ -84,7 +84,7 @@ absl::StatusOr<std::vector<FirewallOfHost>> ReadFirewalls(Env& env, const std::s
     for (const v1::StepResult& step : each.receipt().steps()) {
       if (!IsFirewall(step)) continue;
       if (step.step() == "firewall release") {
-        // A raise does not run it (mode_actuator/DESIGN.md, Release).
+        // A raise does not run it (mode_actuator/helpers/fw/DESIGN.md, Release).
         released = released || !absl::StartsWith(step.detail(), "not run");
       } else {
         firewall.steps.push_back(step.step());
