@@ -69,11 +69,16 @@ def commands(text):
         parts = []
 
 
+def missing_sections(page):
+    """Of RUN."""
+    text = read(page)
+    return [name for name in RUN[page] if not re.search(rf"^## {re.escape(name)}$", text, re.M)]
+
+
 def commands_that(test, page):
     """The commands of `page` that the ctest `test` runs, in their order."""
-    text = read(page)
-    for wanted in RUN[page]:
-        if not re.search(rf"^## {re.escape(wanted)}$", text, re.M):
-            raise AssertionError(f"{page} has no section {wanted}")
-    return [command for _, section, command in commands(text)
+    missing = missing_sections(page)
+    if missing:
+        raise LookupError(f"{page} has no section {missing[0]}")
+    return [command for _, section, command in commands(read(page))
             if RUN[page].get(section) == test]

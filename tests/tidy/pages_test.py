@@ -61,8 +61,8 @@ def tracked(*patterns):
     done = subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard",
                            *patterns], cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode != 0:  # a tree without git
-        found = {path for pattern in patterns for path in ROOT.glob(f"**/{pattern}")
-                 if "build" not in path.relative_to(ROOT).parts}
+        found = {path for pattern in patterns or ("*",) for path in ROOT.glob(f"**/{pattern}")
+                 if not {"build", ".git"} & set(path.relative_to(ROOT).parts)}
         return sorted(str(path.relative_to(ROOT)) for path in found if path.is_file())
     return sorted(name for name in set(done.stdout.split("\0")) if name and (ROOT / name).is_file())
 
@@ -287,8 +287,12 @@ def main():
     sources = {name: "\n".join(pages.read(path) for path in paths)
                for name, paths in SOURCES.items()}
     users = pages.user_pages()
-    run = {command for page, sections in pages.RUN.items() for test in set(sections.values())
-           for command in pages.commands_that(test, page)}
+    run = set()
+    for page, sections in pages.RUN.items():
+        missing = pages.missing_sections(page)
+        problems += (f"{page}: no section {name}, whose commands a test runs" for name in missing)
+        for test in set() if missing else set(sections.values()):
+            run |= set(pages.commands_that(test, page))
     names = {pathlib.PurePath(page).stem for page in users[1:]}
     problems += (f"{pages.HANDBOOK}: no {name}.md" for name in sorted(HANDBOOK - names))
     for page in users:
