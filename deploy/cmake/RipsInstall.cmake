@@ -69,6 +69,8 @@ install(FILES deploy/prometheus/rips.rules.yml deploy/grafana/rips.json
         DESTINATION ${RIPS_DOC}/rips-tools/examples COMPONENT rips-tools)
 install(FILES rules/LANGUAGE.md rules/PROTOTYPE.md policy_server/METRICS.md deploy/RUNBOOK.md
         DESTINATION ${RIPS_DOC}/rips-tools COMPONENT rips-tools)
+install(DIRECTORY deploy/handbook DESTINATION ${RIPS_DOC}/rips-tools COMPONENT rips-tools
+        FILES_MATCHING PATTERN "*.md")
 install(FILES policy_server/audit/FORMAT.md DESTINATION ${RIPS_DOC}/rips-tools RENAME AUDIT.md
         COMPONENT rips-tools)
 install(DIRECTORY deploy/schema DESTINATION share/rips COMPONENT rips-tools)

@@ -32,6 +32,7 @@ from fleet import Failed, Skipped, check  # noqa: E402
 from make_images import IMAGES, NotMade, make_images  # noqa: E402
 from make_packages import QUICK, make_packages  # noqa: E402
 from manifests import compose, kubernetes, version  # noqa: E402
+from pages import commands_that  # noqa: E402
 from root import APART, IDS, Failed as NoImage, NoRoot, Sources  # noqa: E402
 
 LIMIT = 120  # seconds something may take on a busy machine
@@ -242,13 +243,10 @@ def they_run(world):
 # What follows runs in namespaces of its own, also of networks and processes.
 
 
-def commands_of_the_readme():
-    """What README.md, "Containers", tells an administrator to type before an engine's commands."""
-    text = (SOURCE / "README.md").read_text(encoding="utf-8")
-    chapter = text.partition("\n## Containers\n")[2].partition("\n## ")[0].replace("\\\n", " ")
-    lines = [line.strip().partition("  #")[0] for line in chapter.splitlines()
-             if line.startswith("    ")]
-    return [line for line in lines if line.split()[0] in ("mkdir", "cp", "install")]
+def commands_of_the_handbook():
+    """What containers.md tells an administrator to type before an engine's commands."""
+    return [command for command in commands_that("images", "deploy/handbook/containers.md")
+            if command.split()[0] in ("mkdir", "cp", "install")]
 
 
 def wait(condition, what, containers=()):
@@ -278,7 +276,7 @@ class Inside:
             self.roots[image] = root, unpack(directory / "layouts" / image, root)
 
     def prepare(self):
-        """Certificates, and what README.md says of files."""
+        """Certificates, and what the handbook says of files."""
         work = self.dir / "work"
         work.mkdir()
         (work / "deploy").symlink_to(SOURCE / "deploy")
@@ -287,7 +285,7 @@ class Inside:
                      "operator admin alice"):
             run("bash", SOURCE / "deploy/pki/mint", "--dir", work / "fleet", "--trust-domain",
                 "fleet.example", *what.split())
-        for command in commands_of_the_readme():
+        for command in commands_of_the_handbook():
             run("bash", "-c", command.replace("/srv/rips", f"'{self.rips}'"), cwd=work)
         for name in ("sensor", "actuator"):
             path = self.rips / f"{name}.yaml"

@@ -26,7 +26,9 @@ from make_packages import Failed as NotMade, QUICK, make_packages  # noqa: E402
 from agents import agents_need_what_every_release_has, agents_run_on_a_robot, \
     what_one_release_lacks_is_refused  # noqa: E402
 from overlay import APART, LIMIT, Overlay, run  # noqa: E402
+from pages import commands_that  # noqa: E402
 
+INSTALL_PAGE = "deploy/handbook/install.md"
 EXPOSURE_MAX = 20  # of `systemd-analyze security`, in tenths
 
 
@@ -201,20 +203,12 @@ def check_after_installation(copy):
     check(not mine, "systemd-analyze verify says:\n" + "\n".join(mine))
 
 
-def commands_of_the_readme():
-    """What README.md, "Install", tells an administrator to type, but for making packages."""
-    text = (SOURCE / "README.md").read_text(encoding="utf-8")
-    chapter = text.partition("\n## Install\n")[2].partition("\n## ")[0].replace("\\\n", " ")
-    lines = [line.strip() for line in chapter.splitlines() if line.startswith("    ")]
-    return [line for line in lines if not line.startswith("./deploy/package")]
-
-
-def follow_the_readme(copy):
+def follow_the_handbook(copy):
     """Everything on one host. The examples name another server, and a network that is not there."""
-    commands = commands_of_the_readme()
+    commands = commands_that("packages", INSTALL_PAGE)
     kinds = {command.split()[0] for command in commands}
     expected = {"rips-mint", "apt-get", "install", "cp", "runuser", "systemctl"}
-    check(kinds == expected, f"README.md has {kinds} in \"Install\"")
+    check(kinds == expected, f"{INSTALL_PAGE} has {kinds}")
     units = {path.name for path in (SOURCE / "deploy/systemd").iterdir()}
     for command in commands:
         words = command.split()
@@ -377,7 +371,7 @@ def inside(place, packages):
     newer.mkdir()
     copy.install(packages)
     check_after_installation(copy)
-    follow_the_readme(copy)
+    follow_the_handbook(copy)
     check_configurations(copy)
     daemons_work_together(copy)
     check_tools(copy)

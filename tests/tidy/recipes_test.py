@@ -150,7 +150,8 @@ def verbs():
         ("the tests of ripsctl", tests, lambda name: f'"{name}[ "]'),
     ])
     yield from missing("verb", spoken, [
-        ("README.md or rules/LANGUAGE.md", read("README.md", "rules/LANGUAGE.md"),
+        ("deploy/handbook or rules/LANGUAGE.md",
+         read("deploy/handbook/*.md", "rules/LANGUAGE.md"),
          lambda name: rf"ripsctl {name}\b"),
     ])
     makers = re.findall(r"^Commands (\w+)\(\)", read("policy_server/ripsctl/commands.h"), re.M)
