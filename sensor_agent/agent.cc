@@ -681,8 +681,7 @@ void Agent::PollWire(int64_t now_ns, Observations& seen) {
   if (wire_->WantsRediscovery()) Rediscover(now_ns);
   if (const bool visible = wire_->visible(now_ns); visible != wire_visible_) {
     wire_visible_ = visible;
-    uplink_->SetKindVisible(kUnicastOnlyWriters, visible);
-    uplink_->SetKindVisible(kTwoContents, visible);
+    for (const char* kind : kSeenByTap) uplink_->SetKindVisible(kind, visible);
   }
   std::vector<std::string> blind = wire_->Blind(now_ns);
   if (blind == wire_blind_) return;

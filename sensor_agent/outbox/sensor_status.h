@@ -14,10 +14,14 @@
 
 namespace rips::sensor {
 
-// Kinds of traffic that may not be visible: the first two without a tap; the next two never; the
-// last without DDS Security.
+// Kinds of traffic that may not be visible: those of kSeenByTap without a tap; the next two never;
+// the last without DDS Security.
 inline constexpr char kUnicastOnlyWriters[] = "unicast-only writers";
 inline constexpr char kTwoContents[] = "messages with two contents under one number";
+inline constexpr char kSentPastSensor[] = "data of a known writer that is not sent to the sensor";
+inline constexpr char kForgedPackets[] = "forged packets, such as one that ends a participant";
+inline constexpr const char* kSeenByTap[] = {kUnicastOnlyWriters, kTwoContents, kSentPastSensor,
+                                             kForgedPackets};
 inline constexpr char kServiceRequests[] = "service requests";
 inline constexpr char kSharedMemory[] = "participants that speak shared memory alone";
 inline constexpr char kSecuredParticipants[] = "participants with DDS Security";
@@ -46,8 +50,8 @@ class SensorStatus {
  private:
   void MarkReported();
 
-  std::vector<std::string> not_visible_ = {kUnicastOnlyWriters, kTwoContents, kServiceRequests,
-                                           kSharedMemory};
+  std::vector<std::string> not_visible_ = {kUnicastOnlyWriters, kTwoContents,     kSentPastSensor,
+                                           kForgedPackets,      kServiceRequests, kSharedMemory};
   std::vector<std::string> not_visible_reported_;
   // By input; none is without a reason.
   std::map<std::string, std::vector<std::string>> blind_;
